@@ -1,12 +1,12 @@
-"""What publishing costs, and how late it is: zenoh between two processes on loopback.
+"""Processor time and latency of publishing: zenoh between two processes on loopback.
 
     python benches/bench_net.py [seconds]
 
-One process publishes fixes and the built-in clip's two views, as JPEG, 30 times a second; another
-one, which has zenoh and nothing of fingerpost, notes when each arrives. Both see the same monotonic
-clock. A fix's latency counts from its being handed to the publisher. "Work" is processor time of
-the publishing process less that of the same loop without a publisher, so what other programs take
-is not in it; latency has it, so the load of the machine is printed as well.
+One process publishes fixes and the built-in clip's two views, as JPEG, 30 times a second. Another
+one, which uses zenoh without fingerpost, records when each arrives. Both read the same monotonic
+clock. The latency of a fix starts when it is handed to the publisher. "Work" is the processor time
+of the publishing process minus that of the same loop without a publisher. It excludes other
+programs; the latency does not, so the load of the machine is printed as well.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ with zenoh.open(config) as session:
 
 
 def views() -> list[tuple[str, Frame]]:
-    """Return a frame of each view of the clip as a camera would send it."""
+    """Return a frame of each view of the clip, with its JPEG, as from a camera."""
     found = []
     for path in sorted(CLIP.glob("*.mp4")) or sorted(CLIP.glob("*.webm")):
         with open_source(str(path)) as source:
@@ -85,7 +85,7 @@ def loop(publisher: Publisher | None, pictures: list[tuple[str, Frame]], seconds
 
 
 def measure(seconds: float, *, with_pictures: bool) -> None:
-    """Print latency and work of fixes, with or without pictures."""
+    """Print latency and work of publishing fixes, with or without pictures."""
     pictures = views()
     port = 17461
     alone_s = loop(None, pictures, seconds)
@@ -97,29 +97,28 @@ def measure(seconds: float, *, with_pictures: bool) -> None:
         receiver.stdout.readline()
         time.sleep(0.5)
         used_s = loop(publisher, pictures, seconds)
-        while receiver.poll() is None:  # until it has come: zenoh drops what finds no room
+        while receiver.poll() is None:  # repeated: zenoh drops messages when its queue is full
             publisher.put(PublishedFix(frame=0, time_s=0.0, status="lost", unit="mm"))
             time.sleep(0.1)
-        said = receiver.stdout.read()
-    heard = json.loads(said)
-    late_ms = 1e3 * np.array(heard["late"])
+        output = receiver.stdout.read()
+    received = json.loads(output)
+    late_ms = 1e3 * np.array(received["late"])
     sent = int(seconds * FPS)
     size_kb = sum(len(one.encoded) for _, one in pictures) / len(pictures) / 1e3
     print(f"{'fixes and two views' if with_pictures else 'fixes'}, {seconds:g} s at {FPS:g} Hz:")
-    print(f"  {len(late_ms)} of {sent} fixes, {heard['images']} of {2 * sent} pictures arrived")
+    print(f"  {len(late_ms)} of {sent} fixes, {received['images']} of {2 * sent} pictures arrived")
     percentiles = np.percentile(late_ms, [50, 90, 99, 100])
     shown = (f"{name} {ms:.2f} ms" for name, ms in zip(NAMES, percentiles, strict=True))
     print(f"  latency {', '.join(shown)}")
     work = 100.0 * (used_s - alone_s) / seconds
-    print(
-        f"  work {work:.1f} % of a core; the receiver's {100.0 * heard['used_s'] / seconds:.1f} %"
-    )
+    theirs = 100.0 * received["used_s"] / seconds
+    print(f"  work {work:.1f} % of a core; the receiver's {theirs:.1f} %")
     if with_pictures:
         print(f"  pictures of {SIZE_PX[0]} x {SIZE_PX[1]} px, {size_kb:.0f} kB each")
 
 
 def main() -> None:
-    """Measure both."""
+    """Measure fixes without and with pictures."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     measure(seconds, with_pictures=False)

@@ -1,19 +1,19 @@
-"""What the operator's page costs: how late fixes and pictures are, with and without clients.
+"""Cost of the operator's page: latency of fixes and pictures, with and without clients.
 
     python benches/bench_page.py [seconds]           # fixes, processor and memory, by clients
     python benches/bench_page.py --glass [seconds]   # from a frame to the page's canvas
-    python benches/bench_page.py --memory [seconds]  # of both processes, over time
-    python benches/bench_page.py --trial             # a new user's way to the first point
+    python benches/bench_page.py --memory [seconds]  # memory of both processes, over time
+    python benches/bench_page.py --trial             # steps of a new user to the first point
 
-Plays the built-in clip to and fro at 30 frames a second, as two cameras would, through the main
-loop and the page: with no client, with three that keep up, and with three more that never answer.
-A fix's latency counts from the frames' being there to its being told, by the clock on the wall;
-"work" is the processor time of the loop's own thread for a frame, which other programs do not
-lengthen. Memory is that of both processes, of which the clip's frames are most.
+Plays the built-in clip to and fro at 30 frames a second, as from two cameras, through the main loop
+and the page: with no client, with three that keep up, and with three more that never answer. The
+latency of a fix is the wall-clock time from the arrival of its frames to the fix. "Work" is the
+processor time of the loop's own thread per frame, which other programs do not lengthen. Memory is
+that of both processes; most of it is the clip's frames.
 
-From glass to glass: the time by the clock on the wall is painted into each frame of the first view
-as it is handed to the loop, 24 squares black or white, and read in headless Chromium from the
-canvas right after the page has drawn it, beside the tracker and with the overlay.
+Glass to glass: the wall-clock time is painted into each frame of the first view as it is handed to
+the loop, as 24 black or white squares. It is read in headless Chromium from the canvas right after
+the page has drawn it, while the tracker runs and with the overlay.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def stamped(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def cameras(rig: Rig, seconds: float, *, stamps: bool = False) -> Iterator[tuple[Frame, ...]]:
-    """Give the clip's frames to and fro, each when a camera would."""
+    """Yield the clip's frames to and fro, at the rate of a camera."""
     with open_views(rig.sources) as sources:
         pairs = [tuple(pair) for pair in read_views(sources)]
     there_and_back = [*pairs, *pairs[-2:0:-1]]
@@ -89,12 +89,12 @@ def cameras(rig: Rig, seconds: float, *, stamps: bool = False) -> Iterator[tuple
         if stamps:
             images[0] = stamped(images[0])
         yield tuple(Frame(k, now_s, image) for image in images)
-        # What a camera sends while the loop is busy is never seen.
+        # Frames that a camera sends while the loop is busy are lost.
         k = max(k + 1, math.ceil((time.monotonic() - begun_s) * FPS))
 
 
 async def client(address: str, end_s: float, answers: bool, received: list[int]) -> None:
-    """Receive like a page; one that does not answer stalls."""
+    """Receive messages as a page does; without answers the client stalls."""
     base, token = address.split("/?token=")
     cookie = {"Cookie": f"fingerpost-{base.rsplit(':', 1)[1]}={token}"}
     url = f"{base.replace('http', 'ws')}/socket"
@@ -115,7 +115,7 @@ async def client(address: str, end_s: float, answers: bool, received: list[int])
 
 
 def clients(address: str, seconds: float, quick: int, stalled: int) -> list[list[int]]:
-    """Run clients in a thread."""
+    """Run clients in a thread; return the sizes of the messages that each receives."""
     received: list[list[int]] = [[] for _ in range(quick + stalled)]
     end_s = time.monotonic() + seconds
 
@@ -129,19 +129,19 @@ def clients(address: str, seconds: float, quick: int, stalled: int) -> list[list
 
 
 def memory_mb(pid: int | str) -> float:
-    """Resident memory of a process."""
+    """Return the resident memory of a process."""
     status = Path(f"/proc/{pid}/status").read_text()
     return int(status.partition("VmRSS:")[2].split()[0]) / 1024
 
 
 def cpu_s(pid: int | str) -> float:
-    """Processor time that a process has had."""
+    """Return the processor time of a process."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / 100.0
 
 
 def measure(seconds: float, quick: int, stalled: int, *, shows: bool) -> None:
-    """Run once and print a line."""
+    """Run once with quick and stalled clients, and print a line."""
     rig = Rig.load(CLIP)
     with shown(rig) as (page, pointer):
         received = clients(page.address, seconds + 2, quick, stalled)
@@ -179,7 +179,7 @@ def shown(rig: Rig) -> Iterator[tuple[Page, Pointer]]:
 
 
 def glass(seconds: float) -> None:
-    """Measure from a frame to the page's canvas, and print a line."""
+    """Measure the latency from a frame to the page's canvas, and print a line."""
     rig = Rig.load(CLIP)
     with shown(rig) as (page, pointer):
         command = [sys.executable, __file__, "--watch", page.address, str(seconds)]
@@ -197,7 +197,7 @@ def glass(seconds: float) -> None:
 
 
 def watch(address: str, seconds: float) -> None:
-    """Open the page in a browser, and print how late its pictures were, in ms."""
+    """Open the page in a browser, and print the latencies of its pictures [ms]."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as driver:
@@ -220,18 +220,18 @@ def memory(seconds: float) -> None:
     rig = Rig.load(CLIP)
     with shown(rig) as (page, pointer):
         clients(page.address, seconds, 1, 1)
-        begun_s, said = time.monotonic(), 0
+        begun_s, printed = time.monotonic(), 0
         for step in steps(pointer, page.allowed(cameras(rig, seconds))):
             page.show(step)
             lasts_s = time.monotonic() - begun_s
-            if lasts_s > (said + 1) * seconds / 11:
-                said += 1
+            if lasts_s > (printed + 1) * seconds / 11:
+                printed += 1
                 own, theirs = memory_mb("self"), memory_mb(page._process.pid)
                 print(f"{lasts_s:6.0f} s   {own:.1f} + {theirs:.1f} MB", flush=True)
 
 
 def trial() -> None:
-    """Go a new user's way from two films to a first point; print clicks and time."""
+    """Follow a new user's steps from two films to a first point; print clicks and time."""
     from page_pictures import at_rest, served, until
     from playwright.sync_api import sync_playwright
 
@@ -261,7 +261,7 @@ def trial() -> None:
 
 
 def main() -> None:
-    """Measure what is asked for."""
+    """Run the measurement that the command line names."""
     kind, *given = sys.argv[1:] if sys.argv[1:] and "-" in sys.argv[1] else ["", *sys.argv[1:]]
     if kind == "--watch":
         watch(given[0], float(given[1]))
@@ -278,7 +278,7 @@ def main() -> None:
 
 
 def by_clients(lasts_s: float) -> None:
-    """Measure with more and more clients."""
+    """Measure with increasing numbers of clients."""
     for quick, stalled, shows in [
         (0, 0, False),
         (0, 0, True),

@@ -1,18 +1,18 @@
-"""What a frame of a stereo pair costs from end to end, and several views in one call.
+"""Time of a frame of a stereo pair from end to end, and of several views in one call.
 
     python benches/bench_pair.py
 
-A simulated hand over a wooden table is written as two MJPEG files, as webcams send them, then
-decoded, tracked and shown again, on one core; the figures are medians over the frames in which both
-views follow the hand, for both views together. "Loop" is what `fingerpost.Pointer` does with a pair
-of frames, its stages timed where it calls them; what refinement costs is the difference from a loop
-without. The live view is a JPEG of each view. The last table has as many views in one call as it
-says, on all cores.
+A simulated hand over a wooden table is written as two MJPEG files, the format of webcams, then
+decoded, tracked and drawn, on one core. The figures are medians over the frames in which both views
+track the hand, for both views together. "Loop" is the work of `fingerpost.Pointer` for a pair of
+frames; its stages are timed where it calls them. The time of refinement is the difference from a
+loop without it. The live view is a JPEG of each view. The last table is of several views in one
+call, on all cores.
 """
 
 import os
 
-# Decoding on one thread, as everything else: this must stand in the environment before OpenCV is.
+# Decoding on one thread, like everything else: OpenCV reads this variable when it is imported.
 os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = "threads;1"
 
 import statistics
@@ -48,7 +48,7 @@ from fingerpost.simulated_rig_file import rig_from_simulation
 
 FRAMES = 180
 FPS = 30.0
-# A hand comes after the table has been seen without it, waits to be acquired, and moves.
+# The table is seen without a hand first; then the hand comes, waits to be acquired, and moves.
 EMPTY_S, WAIT_S, SPEED_M_S, ENTRY_M_S, ENTRY_MM = 0.7, 0.8, 0.35, 0.9, 900.0
 ARRIVES_S = EMPTY_S + ENTRY_MM / 1000 / ENTRY_M_S
 VIEWS = (1, 2, 4, 8)
@@ -66,13 +66,13 @@ class Stopwatch:
 
     def __init__(self) -> None:
         self.scope = ""
-        """What comes before the names of all pieces."""
+        """Prefix of the names of all pieces."""
         self._times_us: dict[str, list[float]] = {}
         self._frame_us: dict[str, float] = {}
 
     @contextmanager
     def time(self, name: str) -> Iterator[None]:
-        """Time what is done meanwhile."""
+        """Time the body of a `with` statement."""
         began = time.perf_counter()
         yield
         name = self.scope + name
@@ -89,19 +89,19 @@ class Stopwatch:
         return call
 
     def end_frame(self, *, counts: bool) -> None:
-        """Keep the times of a frame, or forget them."""
+        """Keep the times of a frame if it counts, else discard them."""
         for name, time_us in self._frame_us.items():
             if counts:
                 self._times_us.setdefault(name, []).append(time_us)
         self._frame_us.clear()
 
     def median_us(self, *names: str) -> float:
-        """Sum of the median times of pieces of work."""
+        """Return the sum of the median times of pieces of work."""
         return sum(statistics.median(self._times_us[name]) for name in names)
 
 
 def time_stages(clock: Stopwatch) -> None:
-    """Have the stages of the main loop timed where it calls them."""
+    """Replace the stages of the main loop by timed ones, where it calls them."""
     pipeline.update_views = clock.timed("track", pipeline.update_views)
     pipeline.indicated_point = clock.timed("fix", pipeline.indicated_point)
     PairTests.can_be_one = clock.timed("agree", PairTests.can_be_one)
@@ -114,7 +114,7 @@ def time_stages(clock: Stopwatch) -> None:
 
 
 def simulated(cameras: int) -> tuple[SimulatedRig, Trajectory]:
-    """Set up a hand over a wooden table, and how it moves."""
+    """Return a rig with a hand over a wooden table, and the motion of the hand."""
     azimuths = (0.0,) if cameras == 1 else tuple(np.linspace(-30, 30, cameras).tolist())
     rig = SimulatedRig(
         Placement(azimuths_deg=(-15.0, 15.0) if cameras == 2 else azimuths),
@@ -134,7 +134,7 @@ def simulated(cameras: int) -> tuple[SimulatedRig, Trajectory]:
 
 
 def waiting_rig(rig: SimulatedRig, motion: Trajectory, sources: Sequence[str | int]) -> Rig:
-    """Describe the rig as it is when the hand arrives."""
+    """Return the rig with the start poses of the arriving hand."""
     fingers = [view.finger for view in rig.truth(motion, time_s=ARRIVES_S).views]
     return rig_from_simulation(rig, starts=[finger.start() for finger in fingers], sources=sources)
 
@@ -166,13 +166,13 @@ def trackers(rig: Rig) -> list[ContourTracker]:
 
 
 def follow(pointer: Pointer, frames: Sequence[Frame]) -> tuple[Step, bool]:
-    """Give a pair to a pointer; tell its step, and whether both views follow the hand."""
+    """Update a pointer by a pair; return its step, and whether both views track the hand."""
     (step,) = pointer.update(frames)
     return step, all(isinstance(seen.finger, FingerLine) for seen in step.observations)
 
 
 def end_to_end(folder: Path) -> Stopwatch:
-    """Time the life of every frame of a pair."""
+    """Time every stage of a pair's frames, from decoding to the encoded live view."""
     scene, motion = simulated(2)
     rig = waiting_rig(scene, motion, written(folder, scene, motion))
     clock = Stopwatch()
@@ -233,7 +233,7 @@ def print_end_to_end(clock: Stopwatch) -> None:
 
 
 def print_views() -> None:
-    """Print how long several views take in one call."""
+    """Print the time of several views in one call."""
     print(f"\n{'views in one call [us]':<40} {'looking for a hand':>20} {'following it':>20}")
     for cameras in VIEWS:
         scene, motion = simulated(cameras)

@@ -1,11 +1,11 @@
-"""How long the simulated rig takes for a stereo pair, on one core.
+"""Time of the simulated rig for a stereo pair, on one core.
 
     python benches/bench_simulate.py
 
-Each scene is rendered over a path of poses; the figures are medians over the frames, in ms for both
-views, truth and noise included: time of the processor, and time of the wall, which is longer when
-the machine has other work. The table is painted before the clock starts. "2 per sigma" are scenes
-with `Sensor(cells_per_sigma=2)`; "all on" is wood, sheet, sleeve, shading and shadow.
+Each scene is rendered over a path of poses. The figures are medians over the frames, in ms for both
+views, truth and noise included: processor time, and wall time, which is longer when the machine has
+other work. The table is painted before the clock starts. "2 per sigma" are scenes with
+`Sensor(cells_per_sigma=2)`; "all on" is wood, sheet, sleeve, shading and shadow.
 """
 
 import statistics
@@ -47,7 +47,7 @@ SCENES: dict[str, SimulatedRig] = {
 
 
 def median_ms(rig: SimulatedRig) -> tuple[float, float]:
-    """Median processor and wall time of a frame of all views [ms]."""
+    """Return the median processor and wall time of a frame of all views [ms]."""
     path = Trajectory.through(figure_eight(rig.workspace), 0.35)
     processor, wall = [], []
     for index in range(WARM_UP + FRAMES):

@@ -1,11 +1,11 @@
-//! A guard against slower code that no clock disturbs: instructions of fixed workloads, counted by
-//! valgrind and compared with `instructions.txt`. `make test` runs it.
+//! A guard against slower code that is independent of clocks: instructions of fixed workloads,
+//! counted by valgrind and compared with `instructions.txt`. `make test` runs it.
 //!
 //!     make instructions            # check
-//!     make instructions RECORD=1   # store what is counted
+//!     make instructions RECORD=1   # store the counts
 //!
-//! Every workload runs twice, a few times and some more times; the difference is what it costs by
-//! itself, without set-up.
+//! Every workload runs with two numbers of repetitions; the difference of the counts excludes the
+//! set-up.
 
 #![expect(
     clippy::unwrap_used,
@@ -24,14 +24,14 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::{env, fs};
 
-/// Compilers differ by a few per cent from version to version; a mistake costs more.
+/// Tolerated relative change: compiler versions differ by a few per cent, mistakes cost more.
 const TOLERANCE: f64 = 0.1;
 const FEW: usize = 4;
 const MORE: usize = 12;
-/// Frames that trackers follow to and fro: to draw more takes valgrind longer than to track them.
+/// Frames that trackers follow to and fro; under valgrind, drawing is slower than tracking.
 const FRAMES: usize = 3;
 
-/// What is counted; all but the first two need AVX2.
+/// The workloads; all but the first two need AVX2.
 const WORKLOADS: [&str; 6] =
     ["iteration-scalar", "iteration-sse2", "iteration-avx2", "learn-colours", "paper", "bands"];
 
@@ -63,7 +63,8 @@ fn workloads() -> impl Iterator<Item = &'static str> {
     WORKLOADS.into_iter().take(available)
 }
 
-/// Tells which workloads do not cost what is stored; fails where one costs more than it may.
+/// Prints the change of every workload relative to the stored count; fails if one exceeds the
+/// tolerance.
 fn check(counted: &[(&str, u64)], stored: &str) -> ExitCode {
     let stored: BTreeMap<_, u64> = stored
         .lines()
@@ -73,7 +74,7 @@ fn check(counted: &[(&str, u64)], stored: &str) -> ExitCode {
     let mut result = ExitCode::SUCCESS;
     for &(name, count) in counted {
         let change = count as f64 / stored[name] as f64 - 1.0;
-        let verdict = if change > TOLERANCE {
+        let note = if change > TOLERANCE {
             result = ExitCode::FAILURE;
             "too many"
         } else if change < -TOLERANCE {
@@ -81,7 +82,7 @@ fn check(counted: &[(&str, u64)], stored: &str) -> ExitCode {
         } else {
             ""
         };
-        println!("{name:<18} {count:>9} instructions {:>+6.1} % {verdict}", 100.0 * change);
+        println!("{name:<18} {count:>9} instructions {:>+6.1} % {note}", 100.0 * change);
     }
     if result == ExitCode::FAILURE {
         println!(
@@ -102,9 +103,9 @@ fn instructions(workload: &str) -> u64 {
             .args([workload, &count.to_string()])
             .output()
             .unwrap();
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(output.status.success(), "{workload}: {said}");
-        let (_, collected) = said.split_once("Collected :").unwrap();
+        let report = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{workload}: {report}");
+        let (_, collected) = report.split_once("Collected :").unwrap();
         collected.split_whitespace().next().unwrap().parse().unwrap()
     };
     (total(MORE) - total(FEW)) / (MORE - FEW) as u64
@@ -132,7 +133,7 @@ fn iterate(isa: Isa, count: usize) {
     }
 }
 
-/// The votes of all colours.
+/// Updates of the log-likelihood ratios of all colours.
 fn learn(count: usize) {
     let (gray, colours) = ([128; 2], [200, 150, 120, 60, 70, 80]);
     let image = GrayView::new(&gray, 2, 1, 2).unwrap();

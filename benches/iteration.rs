@@ -1,4 +1,4 @@
-//! One iteration of the contour, and a tracker that follows a hand: what is timed.
+//! The timed work: one iteration of the contour, and a tracker that follows a hand.
 
 use crate::{Scene, first_frames};
 use fingerpost_core::geometry::planar::{Affine, AffineMap, PlanarSpace};
@@ -63,7 +63,7 @@ impl Iteration {
         search.search(frame, Cue::Edges, Scale::Fine, lines, found).unwrap();
     }
 
-    /// Fits the map to what was found.
+    /// Fits the map to the measurements.
     pub fn fit(&mut self, map: &AffineMap) -> SVector<f64, 6> {
         let (space, x) = Affine::through(map).unwrap();
         let mut equations = self.equations.clear::<6>();
@@ -78,7 +78,7 @@ impl Iteration {
         x + report.step
     }
 
-    /// One iteration: where the finger is next.
+    /// One iteration; returns the new map.
     pub fn run(&mut self, frame: &Frame<'_>, map: &AffineMap) -> AffineMap {
         self.place(map);
         self.search(frame);
@@ -111,7 +111,7 @@ impl Tracked {
             .map(|(name, model)| (name, Self::new(model, FRAMES)))
     }
 
-    /// A tracker that follows the hand already, over the first `count` frames of its path.
+    /// A tracker that has acquired the hand, for the first `count` frames of its path.
     #[must_use]
     pub fn new(model: Model, count: usize) -> Self {
         let scenes = first_frames([640, 480], count, FRAMES);
@@ -124,7 +124,7 @@ impl Tracked {
         tracked
     }
 
-    /// Frame `i`; if it has all frames, the path closes.
+    /// Updates the tracker by frame `i`, modulo their number; with all frames, the path is closed.
     pub fn update(&mut self, i: usize) -> Status {
         let Scene { pixels, size: [width, height], .. } = &self.scenes[i % self.scenes.len()];
         let image = GrayView::new(pixels, *width, *height, *width).unwrap();
@@ -144,7 +144,7 @@ impl Tracked {
     }
 }
 
-/// The middle one of some numbers.
+/// The median of some numbers.
 ///
 /// # Panics
 /// When there are none.

@@ -3,7 +3,7 @@
 #![expect(
     clippy::unwrap_used,
     clippy::missing_panics_doc,
-    reason = "what a benchmark needs should stop it where it does not work"
+    reason = "a failure of the set-up should stop a benchmark"
 )]
 
 mod iteration;
@@ -14,7 +14,7 @@ pub use iteration::{Iteration, Tracked, median};
 use fingerpost_core::nalgebra::{Point2, Vector2};
 use fingerpost_core::track::StartPose;
 
-/// One frame and where the hand is in it.
+/// One frame and the pose of the hand in it.
 pub struct Scene {
     /// Grey levels, row by row, without padding.
     pub pixels: Vec<u8>,
@@ -24,8 +24,8 @@ pub struct Scene {
     pub pose: StartPose,
 }
 
-/// Frames that hold the whole hand and differ in its place, cold in the cache when they are taken
-/// in turn: 64 VGA frames are 20 MB.
+/// Frames that show the whole hand at different places. Taken in turn, each is cold in the cache:
+/// 64 VGA frames are 20 MB.
 #[must_use]
 pub fn frames(size: [usize; 2], count: usize) -> Vec<Scene> {
     first_frames(size, count, count)
@@ -36,7 +36,7 @@ fn first_frames(size: [usize; 2], count: usize, all: usize) -> Vec<Scene> {
     (0..count).map(|i| scene(size, i as f64 / all as f64)).collect()
 }
 
-/// The hand at a part of its closed path; it moves by at most 2 px per 1/64 in a VGA frame.
+/// The hand at a fraction of its closed path; it moves by at most 2 px per 1/64 in a VGA frame.
 fn scene(size: [usize; 2], part: f64) -> Scene {
     let [width, height] = size;
     let scale = width as f64 / 640.0;

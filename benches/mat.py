@@ -1,13 +1,13 @@
-"""What becomes of a real hand over a real desk, with its start told or not, and shown otherwise.
+"""Accuracy on footage of a real hand, with and without a start pose, and on altered versions of it.
 
     python benches/mat.py FOLDER [VERSION ...] [--workers 1]
 
 FOLDER holds the first 120 frames of the two demo videos of github.com/TemugeB/handpose3d (MIT), a
-`rig.toml`, and what silhouettes tell of them: `pointing_reference.csv` (where the hand points: at
-its own fingertip while that touches the mat, else where two medial lines meet) and `cam0_axis.csv`,
-`cam1_axis.csv` (the medial lines). Each row is the footage as it is, or in another version, with
-the start of the rig file or with the hand to be found. Points are in sides of the mat. A point is
-*wrong* if its error exceeds three times its 99 % ellipse, widened by what the reference is off by.
+`rig.toml`, and a reference from silhouettes: `pointing_reference.csv` (the indicated point: the
+fingertip while it touches the mat, else the intersection of two medial lines) and `cam0_axis.csv`,
+`cam1_axis.csv` (the medial lines). Each row is the footage, unaltered or in another version, with
+the start pose of the rig file or without one. Points are in sides of the mat. A point is *wrong* if
+its error exceeds three times its 99 % ellipse, widened by the error of the reference.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ Image = NDArray[np.uint8]
 Points = NDArray[np.float64]
 
 CHI2_99 = 9.210
-# How far two references of one frame lie from each other: by spread, and by median.
+# Distance between two references of one frame: its spread (contact) and its median (hover).
 CONTACT_SIGMA, HOVER_SIGMA = 0.016, 0.022
-# What the reference calls usable: a line through its sections, near that of a learned hand model.
+# A medial line is usable if it fits its sections and agrees with that of a learned hand model.
 MOST_RMS_PX, MOST_TURN_DEG = 1.2, 6.0
 
 
 @dataclass(frozen=True)
 class Version:
-    """How the footage is shown: what becomes of an image, and of its pixels; every n-th frame."""
+    """An altered version of the footage: the change of images and of pixels; every n-th frame."""
 
     shown: Callable[[Image, np.random.Generator], Image] = lambda image, _: image
     scale: float = 1.0
@@ -53,23 +53,23 @@ class Version:
     every: int = 1
 
     def carried(self, px: Points, width_px: int) -> Points:
-        """Carry pixels of the footage, (..., 2), to this version."""
+        """Map pixels of the footage, (..., 2), to this version."""
         u, v = px[..., 0], px[..., 1]
         placed = np.stack([width_px - 1.0 - u if self.mirrored else u, v], axis=-1)
         return self.scale * (placed + 0.5) - 0.5
 
     def turned(self, angle_rad: float) -> float:
-        """Carry a direction of the footage to this version."""
+        """Map a direction of the footage to this version."""
         return math.pi - angle_rad if self.mirrored else angle_rad
 
 
 def grey(image: Image, _: np.random.Generator) -> Image:
-    """Take the colours away."""
+    """Remove the colours."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
 
 def scaled(image: Image, _: np.random.Generator, *, scale: float) -> Image:
-    """Show all of it by fewer pixels."""
+    """Reduce the resolution."""
     return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
 
 
@@ -79,12 +79,12 @@ def levels(image: Image, _: np.random.Generator, *, gain: float, offset: float =
 
 
 def noisy(image: Image, rng: np.random.Generator, *, sigma: float) -> Image:
-    """Add noise of so many grey levels."""
+    """Add noise of a standard deviation of `sigma` grey levels."""
     return np.clip(np.rint(image + rng.normal(0, sigma, image.shape)), 0, 255).astype(np.uint8)
 
 
 def blurred(image: Image, _: np.random.Generator, *, sigma_px: float) -> Image:
-    """Take the focus away."""
+    """Blur the image."""
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px))
 
 
@@ -95,7 +95,7 @@ def compressed(image: Image, _: np.random.Generator, *, quality: int) -> Image:
 
 
 def mirrored(image: Image, _: np.random.Generator) -> Image:
-    """Make the other hand of it."""
+    """Mirror the image: the hand becomes the other one."""
     return np.ascontiguousarray(image[:, ::-1])
 
 
@@ -116,7 +116,7 @@ VERSIONS = {
 
 @dataclass(frozen=True)
 class Reference:
-    """Where the hand points in a frame, and how far that may be off."""
+    """The indicated point of a frame, and its standard deviation."""
 
     phase: str
     point: Points
@@ -125,7 +125,7 @@ class Reference:
 
 @dataclass
 class Result:
-    """What was told of the footage beside its reference."""
+    """The errors of one version against the reference."""
 
     contact: list[float] = field(default_factory=list)
     hover: list[float] = field(default_factory=list)
@@ -155,7 +155,7 @@ class Result:
 
 
 def read_points(folder: Path) -> dict[int, Reference]:
-    """Read where the hand points in every frame that tells it."""
+    """Read the indicated point of every frame that has a reference."""
     points = {}
     with (folder / "pointing_reference.csv").open() as rows:
         for row in csv.DictReader(rows):
@@ -183,18 +183,18 @@ def read_lines(folder: Path, view: str) -> dict[int, tuple[float, Points]]:
     return lines
 
 
-def carried(rig: Rig, version: Version, width_px: int, *, told: bool) -> Rig:
-    """Return the rig of a version of the footage, with its starts or without."""
+def carried(rig: Rig, version: Version, width_px: int, *, with_start: bool) -> Rig:
+    """Return the rig of a version of the footage, with or without its start poses."""
 
     def view_of(view: View) -> View:
         points_px = version.carried(np.array(view.reference_points_px), width_px)
         start = None
-        if told and view.start is not None:
+        if with_start and view.start is not None:
             start = Start(
                 tip_px=tuple(version.carried(np.array(view.start.tip_px), width_px).tolist()),
                 angle_deg=math.degrees(version.turned(math.radians(view.start.angle_deg))),
                 length_px=version.scale * view.start.length_px,
-                thumb=view.start.thumb,  # folded in: the same mirrored
+                thumb=view.start.thumb,  # folded in, so mirroring does not change it
             )
         return msgspec.structs.replace(
             view, reference_points_px=tuple(map(tuple, points_px.tolist())), start=start
@@ -204,7 +204,7 @@ def carried(rig: Rig, version: Version, width_px: int, *, told: bool) -> Rig:
 
 
 def shown(rig: Rig, version: Version) -> Iterator[list[Frame | None]]:
-    """Read the footage and show it as a version does."""
+    """Yield the frames of a version of the footage."""
     rng = np.random.default_rng(0)
     with ExitStack() as stack:
         sources = stack.enter_context(open_views(rig.sources, rig.readings))
@@ -214,8 +214,8 @@ def shown(rig: Rig, version: Version) -> Iterator[list[Frame | None]]:
 
 
 def measured(folder: Path, case: tuple[str, bool]) -> Result:
-    """Follow the hand through a version of the footage, its start told or not."""
-    name, told = case
+    """Track the hand in a version of the footage, with or without its start poses."""
+    name, with_start = case
     version = VERSIONS[name]
     rig = Rig.load(folder / "rig.toml")
     points = read_points(folder)
@@ -225,7 +225,8 @@ def measured(folder: Path, case: tuple[str, bool]) -> Result:
     assert first is not None
     width_px = first.image.shape[1]
     result = Result()
-    for step in steps(Pointer(carried(rig, version, width_px, told=told)), shown(rig, version)):
+    pointer = Pointer(carried(rig, version, width_px, with_start=with_start))
+    for step in steps(pointer, shown(rig, version)):
         _judge_point(result, step, points.get(step.index))
         for seen, axes in zip(step.observations, lines, strict=True):
             _judge_line(result, seen, axes, version, width_px)
@@ -285,13 +286,13 @@ def main() -> None:
         parser.error(f"no version {'; '.join(sorted(unknown))}; there are: {'; '.join(VERSIONS)}")
     if given.workers < 0:
         parser.error(f"--workers is {given.workers}; 0 or more is right")
-    cases = [(name, told) for name in given.versions or VERSIONS for told in (True, False)]
+    cases = [(name, start) for name in given.versions or VERSIONS for start in (True, False)]
     points = wrong = 0
     with sharing(worker_count(given.workers or None)) as pool:
         results = pool.map(partial(measured, given.folder), cases)
         for case, result in zip(cases, results, strict=True):
-            name, told = case
-            print(f"{name:20} {'started' if told else 'found':7}  {result.row()}", flush=True)
+            name, with_start = case
+            print(f"{name:20} {'started' if with_start else 'found':7}  {result.row()}", flush=True)
             points += len(result.contact) + len(result.hover)
             wrong += result.wrong
     print(f"{points} points beside a reference, {wrong} wrong")

@@ -1,15 +1,15 @@
-"""What a pair costs and how well it points while its cameras swing and shake.
+"""Time and accuracy of a stereo pair while its cameras swing and shake.
 
     taskset -c 1 python benches/moving_cameras.py [fixed rectangle] [--seeds 3] [--frames 240]
 
 A simulated hand in colour, 640 x 480, over a wooden table with a sheet on it, is held still, then
-moves at 0.35 m/s. Each camera turns by +- 3 degrees about each of its axes and goes to and fro by
-15 mm at 0.3 to 0.5 Hz, and shakes by +- 5 px at 3 to 7 Hz; the same film is rendered with cameras
-that stand. References are given pixels of the first frame (`fixed`), or the sheet (`rectangle`). A
-row for each: median and 99th percentile of the main loop for a pair, in processor time, without
-decoding [ms]; RMS error of the point while the hand moves, and while it is held [mm]; how far the
-held point moves about its mean, RMS [mm]; the part of frames with a point; and the part of points
-in their 95 % ellipse.
+moves at 0.35 m/s. Each camera turns by +- 3 degrees about each of its axes and moves to and fro by
+15 mm at 0.3 to 0.5 Hz, and shakes by +- 5 px at 3 to 7 Hz. The same film is rendered with static
+cameras. References are given pixels of the first frame (`fixed`), or the sheet (`rectangle`). Each
+row has: median and 99th percentile of the main loop's processor time for a pair, without decoding
+[ms]; RMS error of the point while the hand moves, and while it is held [mm]; RMS deviation of the
+held point from its mean [mm]; the fraction of frames with a point; and the fraction of points in
+their 95 % ellipse.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ Image = NDArray[np.uint8]
 
 @dataclass
 class Shaken:
-    """A camera on a bad stand, and the frequencies at which it turns, sways and shakes."""
+    """A camera on an unstable stand, with the frequencies of its swing, sway and shake."""
 
     camera: Camera
     swings_hz: NDArray[np.float64]
@@ -63,11 +63,11 @@ class Shaken:
 
     @classmethod
     def drawn(cls, camera: Camera, rng: np.random.Generator) -> Shaken:
-        """Draw how it moves, along and about each of its axes."""
+        """Draw the frequencies of its motion along and about each of its axes."""
         return cls(camera, *(rng.uniform(*hz, 3) for hz in (SWING_HZ, SWING_HZ, SHAKE_HZ)))
 
     def at(self, time_s: float) -> Camera:
-        """Return the camera at a time; at 0 it is where it was measured."""
+        """Return the camera at a time; at 0 it has its measured pose."""
         swing, sway, shake = (
             np.sin(2 * np.pi * hz * time_s)
             for hz in (self.swings_hz, self.sways_hz, self.shakes_hz)
@@ -80,7 +80,7 @@ class Shaken:
 
 
 def scene(seed: int) -> tuple[SimulatedRig, Trajectory]:
-    """Set up the table, and how the hand moves over it."""
+    """Return the rig with its table, and the motion of the hand."""
     rig = SimulatedRig(
         Placement.webcams(),
         device=Hand(),
@@ -100,7 +100,7 @@ def scene(seed: int) -> tuple[SimulatedRig, Trajectory]:
 
 @dataclass
 class Film:
-    """Frames of a pair, and where the hand points in each [mm]."""
+    """Frames of a pair, and the indicated point of each [mm]."""
 
     rig: SimulatedRig
     images: list[tuple[Image, ...]] = field(default_factory=list)
@@ -108,7 +108,7 @@ class Film:
 
     @classmethod
     def rendered(cls, seed: int, frames: int, *, moves: bool) -> Film:
-        """Render a film whose cameras stand, or swing from the second frame on."""
+        """Render a film with static cameras, or with cameras that move from the second frame on."""
         rig, motion = scene(seed)
         rng = np.random.default_rng(seed)
         shaken = [Shaken.drawn(camera, rng) for camera in rig.cameras]
@@ -121,7 +121,7 @@ class Film:
         return film
 
     def described(self, kind: str) -> Rig:
-        """Describe the rig as one does who has nothing but the first frame, or a sheet."""
+        """Return the rig with references from the first frame alone, or with the sheet."""
         given = rig_from_simulation(self.rig)
         if kind == "fixed":
             return given
@@ -141,7 +141,7 @@ class Film:
 
 @dataclass
 class Result:
-    """What became of a film."""
+    """Times and errors of a kind of references."""
 
     times_ms: list[float] = field(default_factory=list)
     held_mm: list[NDArray[np.float64]] = field(default_factory=list)
@@ -152,13 +152,13 @@ class Result:
 
 
 def pairs(film: Film) -> Iterator[list[Frame]]:
-    """Yield the frames of a film as a camera gives them."""
+    """Yield the pairs of frames of a film."""
     for k, images in enumerate(film.images):
         yield [Frame(k, k / FPS, image) for image in images]
 
 
 def followed(film: Film, kind: str, result: Result, profile: cProfile.Profile | None) -> None:
-    """Add to a result what becomes of a film."""
+    """Track the hand in a film; add times and errors to the result."""
     pointer = Pointer(film.described(kind))
     for k, frames in enumerate(pairs(film)):
         began = time.process_time()
@@ -184,12 +184,12 @@ def followed(film: Film, kind: str, result: Result, profile: cProfile.Profile | 
 
 
 def rms(errors: list[NDArray[np.float64]]) -> float:
-    """Root mean square length."""
+    """Return the root mean square length of errors."""
     return float(np.sqrt(np.mean(np.sum(np.square(errors), axis=1)))) if errors else float("nan")
 
 
 def main() -> None:
-    """Print a row for every kind of references, cameras that stand and that move."""
+    """Print a row for every kind of references, with static and with moving cameras."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("kinds", nargs="*", default=["fixed", "rectangle"])
     parser.add_argument("--seeds", type=int, default=3)

@@ -1,10 +1,10 @@
-"""Takes pictures of the operator's page in every step and mode, as docs/page.md shows them.
+"""Takes screenshots of the operator's page in every step and mode, as docs/page.md shows them.
 
     python benches/page_pictures.py docs
     python benches/page_pictures.py FOLDER --all
 
-Plays the built-in clip in headless Chromium (Debian's; driven by Playwright). With --all, every
-step and mode at three sizes, light and dark, as they are; else those of the documentation, small.
+Plays the built-in clip in headless Chromium (Debian's; driven by Playwright). With --all: every
+step and mode at three sizes, light and dark, unreduced. Without: those of the documentation, small.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SHOWN_FRAME = 55
 
 @contextmanager
 def served(folder: Path, *arguments: str) -> Iterator[str]:
-    """Run `fingerpost live` in a folder and give its address."""
+    """Run `fingerpost live` in a folder; yield the address of its page."""
     command = [sys.executable, "-u", "-m", "fingerpost", "live", *arguments]
     process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True)
     try:
@@ -43,7 +43,7 @@ def served(folder: Path, *arguments: str) -> Iterator[str]:
 
 
 def until(page: Page, condition: str) -> None:
-    """Wait until an expression is true in the page, whose policy lets no string be evaluated."""
+    """Poll an expression until it is true: the page's policy forbids the evaluation of strings."""
     for _ in range(PATIENCE_MS // 50):
         if page.evaluate(f"() => Boolean({condition})"):
             return
@@ -52,12 +52,12 @@ def until(page: Page, condition: str) -> None:
 
 
 def at_rest(page: Page) -> None:
-    """Wait until the program does nothing more for the page."""
+    """Wait until the program has no work left for the page."""
     until(page, "document.querySelector('#doing').textContent.startsWith('rig.toml goes')")
 
 
 def steps(page: Page, shoot: Callable[[str], None]) -> None:
-    """Go through the set-up."""
+    """Take the steps of the set-up."""
     page.wait_for_selector(".step[aria-current=step]")
     at_rest(page)
     page.click(".step >> nth=0")
@@ -86,7 +86,7 @@ def steps(page: Page, shoot: Callable[[str], None]) -> None:
 
 
 def live(page: Page, shoot: Callable[[str], None]) -> None:
-    """Show a moment of the live page: all views, the plan alone, large, the keys."""
+    """Show one frame of the live page: all views, edges, large, the keys."""
     until(page, "document.querySelector('.view canvas')?.width > 300")
     page.keyboard.press(" ")
     page.evaluate(
@@ -109,7 +109,7 @@ def live(page: Page, shoot: Callable[[str], None]) -> None:
 
 
 def keep_small(folder: Path) -> None:
-    """Write the pictures of a size and scheme anew, small, without these in their names."""
+    """Reduce the pictures of the documented size and scheme, and drop these from their names."""
     end = f"-{'-'.join(DOCUMENTED)}.png"
     for path in folder.glob(f"page-*{end}"):
         picture = cv2.imread(str(path))

@@ -1,11 +1,11 @@
-"""What becomes of a photographed finger that bends: followed while straight, a misfit while bent.
+"""Photographs of a finger that bends: it is tracked while straight, a misfit while bent.
 
     python benches/photographs.py FOLDER
 
 FOLDER holds images 547–568 of the TI1K data set (github.com/MahmudulAlam/TI1K-Dataset, MIT) and
 `axis.csv` with their silhouettes' medial lines (frame, apex_x, apex_y, angle_deg, width_px). The
-finger is straight in the middle and bends towards either end. Each row is one tracker, started on
-a straight frame with a template of so many half-widths.
+finger is straight in the middle images and bends towards either end. Each row is one tracker,
+started on a straight frame with a template whose length is given in half-widths.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ def main() -> None:
     with (folder / "axis.csv").open() as rows:
         axes = {int(row["frame"][-8:-4]): row for row in csv.DictReader(rows)}
     for thumb, numbers, half_widths in RUNS:
-        told = dict(followed(folder, axes, thumb, numbers, half_widths))
+        tracks = dict(followed(folder, axes, thumb, numbers, half_widths))
         errors_deg = [
-            error_deg(axes[k], told[k]) for k in told if k in STRAIGHT and told[k].finger_line
+            error_deg(axes[k], tracks[k]) for k in tracks if k in STRAIGHT and tracks[k].finger_line
         ]
-        straight, bent = [k for k in told if k in STRAIGHT], [k for k in told if k in BENT]
-        misfits = sum(told[k].diagnostics.refusal == "misfit" for k in bent)
+        straight, bent = [k for k in tracks if k in STRAIGHT], [k for k in tracks if k in BENT]
+        misfits = sum(tracks[k].diagnostics.refusal == "misfit" for k in bent)
         median = f"{np.median(errors_deg):.1f}" if errors_deg else "–"
         print(
             f"thumb {thumb:5}  {numbers[0]} to {numbers[-1]}  length {half_widths} half-widths: "
@@ -62,7 +62,7 @@ def main() -> None:
 def followed(
     folder: Path, axes: dict[int, dict[str, str]], thumb: str, numbers: range, half_widths: float
 ) -> Iterator[tuple[int, Track]]:
-    """Yield what a tracker tells of the photographs, after some of the first."""
+    """Yield the track of each photograph, after several frames of the first one."""
     first = axes[numbers[0]]
     start = StartPose(
         (float(first["apex_x"]), float(first["apex_y"])),

@@ -3,7 +3,7 @@
 //!     cargo bench -p fingerpost-benches --bench ratios
 //!
 //! The unit is the median time of one iteration of `limit_fixed` on a frame just written, timed in
-//! the same round; a ratio is the median over the rounds. Without gcc, times stand in µs.
+//! the same round; a ratio is the median over the rounds. Without gcc, only times are printed.
 
 #![expect(
     clippy::unwrap_used,
@@ -24,9 +24,9 @@ use std::time::Instant;
 const ROUNDS: usize = 5;
 /// Set for the copy of this program that is bound to one core.
 const PINNED: &str = "FINGERPOST_BENCH_PINNED";
-/// Scale of the kernel that has seven taps, as the C limit's has \[px\].
+/// Scale of a kernel with seven taps, like that of the C limit \[px\].
 const SEVEN_TAPS_PX: f64 = 1.0;
-/// What caches hold together \[bytes\].
+/// Size of a cache line \[bytes\].
 const CACHE_LINE_BYTES: usize = 64;
 
 /// One line of the table.
@@ -75,7 +75,7 @@ fn main() {
     scaling(&vga);
 }
 
-/// What is timed in one round: name, what is to be reached, µs.
+/// The measurements of one round: name, goal, time \[µs\].
 fn round(vga: &Sequence, hd: &Sequence) -> Vec<(String, &'static str, f64)> {
     let mut rows = Vec::new();
     for isa in Isa::available() {
@@ -112,7 +112,7 @@ fn round(vga: &Sequence, hd: &Sequence) -> Vec<(String, &'static str, f64)> {
     rows
 }
 
-/// One iteration from the truth on a frame just written, as a decoder leaves it \[µs\].
+/// Time of one iteration from the truth, on a frame just written, as after decoding \[µs\].
 fn copied(sequence: &Sequence, iteration: &mut Iteration) -> f64 {
     let mut pixels = sequence.frame(0).to_vec();
     let times = (0..sequence.truth.len()).map(|i| {
@@ -122,7 +122,7 @@ fn copied(sequence: &Sequence, iteration: &mut Iteration) -> f64 {
     median(&mut times.collect::<Vec<_>>())
 }
 
-/// The same with the frame in no cache, as the C limit has it.
+/// The same with the frame in no cache, as in the C limit.
 fn flushed(sequence: &Sequence, iteration: &mut Iteration) -> f64 {
     let times = (0..sequence.truth.len()).map(|i| {
         flush(sequence.frame(i));
@@ -143,7 +143,7 @@ fn flush(bytes: &[u8]) {
     unsafe { _mm_mfence() };
 }
 
-/// Reads so much else that nothing of the frame, nor of anything, is left in a cache.
+/// Evicts everything from the caches by reading a large buffer.
 #[cfg(not(target_arch = "x86_64"))]
 fn flush(_: &[u8]) {
     let mut other = vec![1_u8; 64 << 20];
@@ -194,8 +194,8 @@ fn accuracy(sequence: &Sequence, iteration: &mut Iteration) -> f64 {
     (squares.sum::<f64>() / sequence.truth.len() as f64).sqrt()
 }
 
-/// How the time of an iteration grows with the number and the length of the lines and with the
-/// number of views, and the constants of it.
+/// Prints the time of an iteration by number and length of the lines, with the constants of a
+/// linear model, and by number of views.
 fn scaling(vga: &Sequence) {
     println!("\none iteration, {}, 7 taps [us]", Isa::detect());
     print!("{:>8}", "normals");
@@ -213,7 +213,7 @@ fn scaling(vga: &Sequence) {
                 Iteration::new(Isa::detect(), samples, half_length_px, Some(SEVEN_TAPS_PX));
             let time_us = copied(vga, &mut iteration);
             print!("{time_us:>9.2}");
-            // Relative errors are to be small, of short times and of long ones.
+            // Divided by the time: the fit minimises relative errors.
             let lines = normals as f64;
             let row = Vector3::new(1.0, lines, lines * (2.0 * half_length_px + 1.0)) / time_us;
             normal = (normal.0 + row * row.transpose(), normal.1 + row);
@@ -234,7 +234,8 @@ fn scaling(vga: &Sequence) {
     }
 }
 
-/// One iteration of each view, on frames just written; the views are some frames apart.
+/// Time of one iteration of each view, on frames just written; the views are some frames apart
+/// \[µs\].
 fn of_views(sequence: &Sequence, views: usize) -> f64 {
     const APART: usize = 8;
     let samples = sequence.template(NORMALS);
@@ -270,13 +271,13 @@ struct Limit {
 
 impl Drop for Limit {
     fn drop(&mut self) {
-        // What cannot be removed is left to the system.
+        // On failure the files stay in the temporary directory.
         let _ = std::fs::remove_dir_all(&self.directory);
     }
 }
 
 impl Limit {
-    /// Compiles the limit for this processor; none if that fails.
+    /// Compiles the limit for this processor; `None` if that fails.
     fn build(vga: &Sequence) -> Option<Self> {
         let directory = env::temp_dir().join(format!("fingerpost-limit-{}", std::process::id()));
         std::fs::create_dir_all(&directory).unwrap();
@@ -303,7 +304,7 @@ impl Limit {
     }
 }
 
-/// Runs this program again on one core, if `taskset` can; whether it did.
+/// Runs this program again on one core, if `taskset` is available; returns whether it did.
 fn relaunched_on_one_core() -> bool {
     if env::var_os(PINNED).is_some() {
         return false;

@@ -1,11 +1,11 @@
-//! A refinement of the finger's axis, whole, by its two lines and by its shading, on frames that are
-//! cold in cache.
+//! Refinement of the finger's axis, with unknown and known background, and the fit of a round
+//! finger by its shading, on frames that are cold in cache.
 //!
 //!     cargo bench -p fingerpost-benches --bench refine
 
 #![expect(
     clippy::unwrap_used,
-    reason = "a benchmark: its groups document themselves, and a scene that does not work should stop it"
+    reason = "a benchmark: its groups document themselves, and a failure should stop it"
 )]
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
@@ -24,7 +24,7 @@ const SIZES: [(&str, [usize; 2], usize); 2] =
 const TABLE_GREY: f32 = 60.0;
 const TABLE_SIGMA_GREY: f32 = 0.5;
 
-/// The finger of a scene as a tracker would have it: a third of a pixel off.
+/// The finger of a scene as estimated by a tracker: displaced by a third of a pixel.
 fn finger(scene: &Scene) -> Finger {
     let pose = &scene.pose;
     let half_width_px = 0.115 * pose.length_px;

@@ -1,21 +1,21 @@
-"""How the pointer fares where tracking is hard, in simulation, beside what it should reach.
+"""Accuracy and availability of the pointer in hard cases, in simulation, with goals.
 
     python benches/robustness.py [CASE ...] [--sequences 40] [--seed 0] [--workers 1] [--colour]
 
-Each case is played so many times with other poses, paths and noise; `--workers 0` uses all cores. A
-*gross* error is beyond 5 % of the plane; RMS and coverage are of the rest. A point is *wrong* if
-its error exceeds three times its 99 % ellipse. Where several hands point, a point is judged by the
-hand that is followed: the first, until it is out of full view. A sequence is *lost* if no point is
-told at its end, or one that is grossly wrong. A hand is *back* if a point within 5 % of the plane
-is told within 0.3 s of the first frame that shows all of its finger in every view, after none was
-seen.
+Each case is played `--sequences` times with different poses, paths and noise; `--workers 0` uses
+all cores. *Available* is the fraction of frames in full view, or of targets, with a point. A
+*gross* error is beyond 5 % of the plane; RMS excludes gross errors. A point is *wrong* if its error
+exceeds three times its 99 % ellipse. If several hands point, a point is compared with the hand that
+is followed: the first, until it is out of full view. A sequence is *lost* if its last frames have
+no point, or only gross errors. A hand is *back* if a point without a gross error is reported within
+0.3 s of the first frame that shows its whole finger in every view, after one that did not.
 
-With `--colour` the cameras show colours, as most webcams do.
+With `--colour` the cameras are colour cameras, like most webcams.
 
-In the first cases a device keeps still, ten targets for a sequence: before clutter, as `fingerpost
-experiment --clutter 50 --reference-noise 0.05` shows it, without and with `--background-frames 40`,
-and before a clean table with starts that are off. In the others the template of each view waits
-where the hand comes.
+In the first cases a device is static, with ten targets for each sequence: before clutter, as in
+`fingerpost experiment --clutter 50 --reference-noise 0.05`, without and with `--background-frames
+40`, and before a clean table with displaced start poses. In the others the start pose of each view
+lies where the hand comes.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ PLANE_MM = 400.0
 GROSS_MM = 0.05 * PLANE_MM
 BACK_WITHIN_S = 0.3
 LATE_FRAMES = 5
-# Of a device that keeps still, for every sequence of what moves.
+# Targets of a static device for every sequence of a moving one.
 TARGETS = 10
 CHI2_99 = 9.210
 REFERENCE_NOISE_PX = 0.05
@@ -72,21 +72,24 @@ Channels = Literal["grey", "bgr"]
 
 @dataclass(frozen=True)
 class Play:
-    """One sequence to play: the rig, what moves before it, and which frames are judged."""
+    """One sequence: the rig, the motions of the hand and of others, and the frames that count."""
 
     rig: SimulatedRig
     motion: Motion
     frames: int
     options: PointingOptions
     others: tuple[tuple[PointingDevice, Motion], ...] = ()
-    # The share of the contour that discs cover from the first judged frame on.
+    # Fraction of the contour that discs cover from the first judged frame on.
     covered: float = 0.0
     judged_from: int = 0
 
 
 @dataclass(frozen=True)
-class Told:
-    """What was told of one judged frame, beside the truth."""
+class Judged:
+    """The point of one frame compared with the truth; NaN without a point.
+
+    `in_view` is whether the whole finger of a hand is in every view.
+    """
 
     error_mm: float
     mahalanobis2: float
@@ -95,9 +98,9 @@ class Told:
 
 @dataclass
 class Result:
-    """What became of one sequence."""
+    """The judged frames of one sequence, and for each return of a hand whether it was in time."""
 
-    told: list[Told] = field(default_factory=list)
+    judged: list[Judged] = field(default_factory=list)
     returns: list[bool] = field(default_factory=list)
 
 
@@ -112,7 +115,7 @@ class Case:
 def drawn(
     rng: np.random.Generator, rig: SimulatedRig, travel_mm: float, turn_deg: float = 15.0
 ) -> list[DevicePose]:
-    """Two poses, so far apart on the plane, that every camera sees well."""
+    """Draw two poses at a distance of `travel_mm` on the plane, in good view of every camera."""
     sampler = PoseSampler(rig, PoseLimits(azimuth_deg=(-60.0, 60.0), hover_mm=(60.0, 180.0)))
     while True:
         first = sampler.draw(rng)
@@ -129,7 +132,7 @@ def drawn(
 
 
 def fast(rng: np.random.Generator, channels: Channels) -> Play:
-    """To and fro at 0.8 m/s over clutter that was not seen before."""
+    """Move the device to and fro at 0.8 m/s over clutter without a learned background."""
     clutter = replace(CLUTTER, seed=int(rng.integers(1 << 31)))
     rig = SimulatedRig(background=clutter, sensor=Sensor(channels=channels))
     first, last = drawn(rng, rig, 160.0)
@@ -141,7 +144,7 @@ def fast(rng: np.random.Generator, channels: Channels) -> Play:
 
 
 def occluded(rng: np.random.Generator, channels: Channels, *, background: Background) -> Play:
-    """Put discs over 30 % of the contour of a hand nearly at rest, at once; they stay."""
+    """Cover 30 % of the contour of a device nearly at rest by discs, suddenly and to the end."""
     rig = SimulatedRig(background=background, sensor=Sensor(channels=channels))
     poses = drawn(rng, rig, 20.0)
     path = Trajectory.hold(poses[0], 0.4).then(Trajectory.through(poses, 0.02))
@@ -149,25 +152,25 @@ def occluded(rng: np.random.Generator, channels: Channels, *, background: Backgr
 
 
 def bar(rng: np.random.Generator, channels: Channels) -> Play:
-    """Draw a bar over the pointing finger, which covers about 30 % of its contour."""
+    """Move a bar across the pointing finger; it covers about 30 % of the contour."""
     across = RodAndProng(length_mm=140.0, diameter_mm=26.0, prong_length_mm=0.0)
     return drawn_over(rng, channels, across)
 
 
 def pen(rng: np.random.Generator, channels: Channels) -> Play:
-    """Draw a pen over the pointing finger."""
+    """Move a pen across the pointing finger."""
     across = RodAndProng(length_mm=140.0, diameter_mm=8.0, prong_length_mm=0.0)
     return drawn_over(rng, channels, across)
 
 
 def drawn_over(rng: np.random.Generator, channels: Channels, device: RodAndProng) -> Play:
-    """Draw something over the pointing finger that is as bright as that."""
+    """Move an object as bright as the finger across it."""
     rig = SimulatedRig(background=WOOD, device=Hand(), sensor=Sensor(channels=channels))
     first, last = drawn(rng, rig, 40.0)
     crossing = np.array(first.tip_mm) - 40.0 * first.direction + np.array([0, 0, 30.0])
-    aside = np.array([-first.direction[1], first.direction[0], 0.0]) * rng.choice([-1.0, 1.0])
+    lateral = np.array([-first.direction[1], first.direction[0], 0.0]) * rng.choice([-1.0, 1.0])
     over = [
-        DevicePose(tuple(crossing + aside * s), first.azimuth_deg + 60.0, 20.0)
+        DevicePose(tuple(crossing + lateral * s), first.azimuth_deg + 60.0, 20.0)
         for s in (-160.0, 160.0)
     ]
     away = DevicePose((0.0, 5000.0, 100.0), 0.0, 20.0)
@@ -178,14 +181,14 @@ def drawn_over(rng: np.random.Generator, channels: Channels, device: RodAndProng
 
 @dataclass(frozen=True)
 class Delayed:
-    """A motion that begins later; until then, and once it is over, the device is elsewhere."""
+    """A motion that begins at `start_s`; before and after it, the device is at `elsewhere`."""
 
     motion: Trajectory
     start_s: float
     elsewhere: DevicePose
 
     def pose_at(self, time_s: float) -> DevicePose:
-        """Pose at a time [s]."""
+        """Return the pose at a time [s]."""
         if self.start_s <= time_s <= self.start_s + self.motion.duration_s:
             return self.motion.pose_at(time_s - self.start_s)
         return self.elsewhere
@@ -199,7 +202,7 @@ def session(
     change: LightChange | None = None,
     second: bool = False,
 ) -> Play:
-    """Have a hand come, point, leave and return, over a table that was empty before."""
+    """Let a hand come, point, leave and return, over a table that is empty at first."""
     rig = SimulatedRig(
         background=replace(WOOD, seed=int(rng.integers(1 << 31))),
         lighting=Lighting(shadow=0.3, side_light=0.2, limb_darkening=0.2, change=change),
@@ -222,7 +225,7 @@ def session(
 
 
 def gone() -> DevicePose:
-    """Far behind the cameras."""
+    """Return a pose far behind the cameras."""
     return DevicePose((0.0, -9000.0, 300.0), 0.0, 20.0)
 
 
@@ -248,7 +251,7 @@ CASES: dict[str, Case] = {
 
 @dataclass(frozen=True)
 class Still:
-    """A device that keeps still: its goal in words, and what is not the experiment's default."""
+    """A static device: its goal in words, and the options that differ from the defaults."""
 
     goal: str
     options: dict[str, Any]
@@ -257,7 +260,7 @@ class Still:
 def started(
     offset_px: float = 0.0, angle_deg: float = 0.0, scale: float = 1.0
 ) -> dict[str, tuple[float, float]]:
-    """Return the options of templates that wait exactly so far off."""
+    """Return the options of start poses with exactly this error."""
     return {
         "start_offset_px": (offset_px, offset_px),
         "start_angle_deg": (angle_deg, angle_deg),
@@ -273,16 +276,16 @@ STILL: dict[str, Still] = {
         "RMS ≤ 0.20 %, coverage ≥ 93 %, gross ≤ 0.5 %",
         {"background": CLUTTER, "background_frames": 40},
     ),
-    "start 20 px off": Still("told ≥ 95 %", started(offset_px=20.0)),
-    "start 30° off": Still("told ≥ 95 %", started(angle_deg=30.0)),
-    "start 0.6 as long": Still("told ≥ 95 %", started(scale=0.6)),
-    "start 1.4 as long": Still("told ≥ 95 %", started(scale=1.4)),
+    "start 20 px off": Still("available ≥ 95 %", started(offset_px=20.0)),
+    "start 30° off": Still("available ≥ 95 %", started(angle_deg=30.0)),
+    "start 0.6 as long": Still("available ≥ 95 %", started(scale=0.6)),
+    "start 1.4 as long": Still("available ≥ 95 %", started(scale=1.4)),
 }
 
 
 def configured(play: Play, rng: np.random.Generator) -> Rig:
-    """Return the rig of somebody who has measured well; the hand comes to the waiting template."""
-    # A little after the finger has come into view for the first time.
+    """Return the rig with small measuring errors, and start poses where the hand comes."""
+    # Nine frames later, so that the finger is well in view.
     truths = (play.rig.truth(play.motion, time_s=(k + 9) / FPS) for k in range(play.frames))
     shown = next(
         t for t in truths if all(v.finger is not None and v.finger.in_view for v in t.views)
@@ -296,7 +299,7 @@ def configured(play: Play, rng: np.random.Generator) -> Rig:
 
 
 class Hands:
-    """The hands of a play, and which of them is followed."""
+    """The hands of a sequence, and the one that is followed."""
 
     def __init__(self, play: Play) -> None:
         self._play = play
@@ -304,11 +307,11 @@ class Hands:
         self._pointing: list[tuple[PointingDevice | None, Motion]] = [(None, play.motion), *others]
         self._followed = 0
 
-    def judge(self, fix: Fix, time_s: float) -> Told:
-        """Put what is told beside the hand that is followed.
+    def judge(self, fix: Fix, time_s: float) -> Judged:
+        """Compare a fix with the hand that is followed.
 
-        Once that has left the full view of any camera, another one may be, also before it has come
-        into full view itself.
+        Once this hand has left the full view of any camera, another one may be followed, even
+        before that one is in full view.
         """
         truths = [
             self._play.rig.truth(motion, time_s=time_s, device=device)
@@ -318,7 +321,7 @@ class Hands:
             all(v.finger is not None and v.finger.in_view for v in truth.views) for truth in truths
         ]
         allowed = [] if in_view[self._followed] else range(len(truths))
-        nearest = Told(math.nan, math.nan, any(in_view))
+        nearest = Judged(math.nan, math.nan, any(in_view))
         for i in (self._followed, *allowed):
             target = truths[i].indicated_mm
             if fix.status is not Status.OK or fix.point is None or target is None:
@@ -337,8 +340,8 @@ class Hands:
         return nearest
 
 
-def steps_of(play: Play, rng: np.random.Generator) -> Iterator[tuple[int, Step, Told]]:
-    """Play a sequence, and put what the pointer tells beside the truth."""
+def steps_of(play: Play, rng: np.random.Generator) -> Iterator[tuple[int, Step, Judged]]:
+    """Play a sequence; yield each step of the pointer, compared with the truth."""
     pointer = Pointer(
         configured(play, rng), pointing_options=play.options, reference_sigma_px=REFERENCE_NOISE_PX
     )
@@ -367,37 +370,37 @@ def played(case: str, seed: int, channels: Channels, index: int) -> Result:
     play = CASES[case].play(rng, channels)
     result = Result()
     before, since = True, None
-    for k, _, told in steps_of(play, rng):
+    for k, _, judged in steps_of(play, rng):
         if k >= play.judged_from:
-            result.told.append(told)
-        # From full view on, a return is counted once: when it is back, or too late.
-        if told.in_view and not before:
+            result.judged.append(judged)
+        # A return starts with full view and is counted once: when the hand is back, or too late.
+        if judged.in_view and not before:
             since = k
-        if since is not None and told.error_mm <= GROSS_MM:
+        if since is not None and judged.error_mm <= GROSS_MM:
             result.returns.append(True)
             since = None
         elif since is not None and (k - since) / FPS >= BACK_WITHIN_S:
             result.returns.append(False)
             since = None
-        before = told.in_view
+        before = judged.in_view
     return result
 
 
 def summary(results: Sequence[Result]) -> str:
     """Return the figures of a case in one line."""
-    told = [t for r in results for t in r.told]
-    error = np.array([t.error_mm for t in told])
-    m2 = np.array([t.mahalanobis2 for t in told])
-    in_view = np.array([t.in_view for t in told])
+    judged = [j for r in results for j in r.judged]
+    error = np.array([j.error_mm for j in judged])
+    m2 = np.array([j.mahalanobis2 for j in judged])
+    in_view = np.array([j.in_view for j in judged])
     there = np.isfinite(error)
     gross = there & (error > GROSS_MM)
     fine = there & ~gross
-    lost = sum(not any(t.error_mm <= GROSS_MM for t in r.told[-LATE_FRAMES:]) for r in results)
+    lost = sum(not any(j.error_mm <= GROSS_MM for j in r.judged[-LATE_FRAMES:]) for r in results)
     returns = [r for result in results for r in result.returns]
     rms = math.sqrt(np.mean(error[fine] ** 2)) if fine.any() else math.nan
     cells = [
         f"lost {lost:3d} of {len(results)}",
-        f"told {100 * there[in_view].mean():5.1f} %",
+        f"available {100 * there[in_view].mean():5.1f} %",
         f"gross {100 * gross.sum() / max(there.sum(), 1):5.2f} %",
         f"RMS {rms:5.2f} mm",
         f"95 % holds {100 * np.mean(m2[there] <= 5.991):5.1f} %",
@@ -409,7 +412,7 @@ def summary(results: Sequence[Result]) -> str:
 
 
 def still_row(name: str, targets: int, seed: int, channels: Channels, workers: int | None) -> str:
-    """Measure a device that keeps still, and return the figures in one line."""
+    """Measure a static device, and return the figures in one line."""
     still = STILL[name]
     options = ExperimentOptions(
         targets=targets,
@@ -425,7 +428,7 @@ def still_row(name: str, targets: int, seed: int, channels: Channels, workers: i
     fine = there & (error <= GROSS_MM)
     rms = 100 * math.sqrt(np.mean(error[fine] ** 2)) / PLANE_MM if fine.any() else math.nan
     return (
-        f"told {100 * there.mean():5.1f} %  "
+        f"available {100 * there.mean():5.1f} %  "
         f"gross {100 * (there & ~fine).sum() / max(there.sum(), 1):5.2f} %  "
         f"RMS {rms:5.3f} % of the plane  "
         f"95 % holds {100 * np.mean(m2[there] <= 5.991):5.1f} %  [{still.goal}]"

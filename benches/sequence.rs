@@ -1,4 +1,4 @@
-//! A moving finger with exact truth, the same picture that the C limit follows.
+//! A moving finger with exact truth, the same images that the C limit tracks.
 //!
 //! A bright capsule before a dark background moves under a slowly varying affine map, with soft
 //! edges, shading, a background gradient and pixel noise. Template coordinates are centred on the
@@ -17,12 +17,12 @@ const FOREGROUND_GREY: f64 = 190.0;
 const BACKGROUND_GREY: f64 = 45.0;
 /// Frames of one closed loop of the motion.
 const LOOP: usize = 256;
-/// Normals of the template that is written for the C limit.
+/// Number of normals of the template that is written for the C limit.
 pub const NORMALS: usize = 100;
-/// Noise is drawn from a pool of this many numbers, from another place in every row.
+/// Size of the pool of noise; every row starts at a random place in it.
 const NOISE_POOL: usize = 1 << 17;
 
-/// Frames, and where the finger is in each.
+/// Frames, and the true map of the finger in each.
 pub struct Sequence {
     /// Width and height in px.
     pub size: [usize; 2],
@@ -33,7 +33,7 @@ pub struct Sequence {
     capsule: Capsule,
 }
 
-/// A segment along x from −`half_length` to `half_length`, and all that is nearer than `radius`.
+/// All points within `radius` of the segment along x from −`half_length` to `half_length`.
 #[derive(Debug, Clone, Copy)]
 struct Capsule {
     radius: f64,
@@ -41,7 +41,7 @@ struct Capsule {
 }
 
 impl Sequence {
-    /// `count` frames of `size`; `scale` 1 is the finger for a VGA frame.
+    /// `count` frames of `size`; `scale` is the size of the finger, 1 for a VGA frame.
     #[must_use]
     pub fn render(size: [usize; 2], count: usize, scale: f64) -> Self {
         let capsule = Capsule { radius: 18.0 * scale, half_length: 75.0 * scale };
@@ -67,8 +67,8 @@ impl Sequence {
         self.capsule.outline(count)
     }
 
-    /// Root mean square of the distances of `found`'s outline from the true one, along the true
-    /// normals \[px\].
+    /// Root mean square of the distances between the outline of `found` and the true one, along the
+    /// true normals \[px\].
     #[must_use]
     pub fn error_px(&self, frame: usize, found: &AffineMap) -> f64 {
         use fingerpost_core::geometry::shape_space::Pose;
@@ -170,7 +170,7 @@ fn draw(
             if from_centre.amax() < reach {
                 let d = signed_distance(capsule, &inverse, inverse * from_centre);
                 let depth = (1.0 + d / capsule.radius).clamp(0.0, 1.0);
-                // Round look: a darker rim, without a slope at the edge itself.
+                // Shading of a round body: a darker rim, without a slope at the edge itself.
                 let shade = FOREGROUND_GREY - 25.0 * depth * depth * (3.0 - 2.0 * depth);
                 grey += normal_cdf(-d / EDGE_BLUR_PX) * (shade - grey);
             }
@@ -188,7 +188,7 @@ fn signed_distance(capsule: &Capsule, inverse: &Matrix2<f64>, at: Vector2<f64>) 
     capsule.distance(at) / (inverse.transpose() * gradient).norm().max(1e-9)
 }
 
-/// Part of a normal distribution below `z`: Zelen & Severo's approximation, to 10⁻⁷.
+/// Normal cumulative distribution at `z`: Zelen & Severo's approximation, to 10⁻⁷.
 fn normal_cdf(z: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.231_641_9 * z.abs());
     let series = [1.330_274_429, -1.821_255_978, 1.781_477_937, -0.356_563_782, 0.319_381_530]
@@ -198,7 +198,7 @@ fn normal_cdf(z: f64) -> f64 {
     if z > 0.0 { 1.0 - above } else { above }
 }
 
-/// White noise: a pool of normal numbers by Box and Muller, and where the next row begins in it.
+/// White noise: a pool of normal numbers (Box & Muller), and the generator of places in it.
 struct Noise {
     pool: Vec<f64>,
     state: u64,

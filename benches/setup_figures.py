@@ -1,26 +1,26 @@
-"""Figures that a set-up of cameras is held to, each measured in simulation or on loopback.
+"""Figures for the set-up of cameras, each measured in simulation or on loopback.
 
     python benches/setup_figures.py skew [--speed 0.5] [--passes 4]
     python benches/setup_figures.py views [--targets 60] [--counts 2 3 4 5 6]
     python benches/setup_figures.py unplug [--view 0]
     python benches/setup_figures.py age [--work-ms 0 50]
 
-`skew`: two webcams take their pictures up to one frame apart while a rod is moved at a steady
-speed. The indicated points are compared with those of the same tracker where both views are taken
-at once: the difference is what the skew causes. Pictures are free of noise, so that the difference
-has no part of that. *Ignored* takes both pictures for simultaneous; *synchronised* is told nothing
-and finds the offset by the tip, as `fingerpost sync` does.
+`skew`: two webcams take their pictures up to one frame apart while a rod moves at constant speed.
+The indicated points are compared with those of the same tracker for simultaneous pictures; the
+difference is the error due to the skew. Pictures have no noise, so noise does not contribute to it.
+*Ignored* treats both pictures as simultaneous. *Synchronised* is not given the offset and estimates
+it from the motion of the tip, as `fingerpost sync` does.
 
-`views`: the experiment of `fingerpost experiment` with 2 to 6 cameras, of which each set holds the
-smaller ones. *Stated* is the root of the mean trace of the fixes' covariances, *bound* the
+`views`: the experiment of `fingerpost experiment` with 2 to 6 cameras; each set of cameras includes
+the smaller ones. *Stated* is the root of the mean trace of the fixes' covariances, *bound* the
 Cramér–Rao bound of the same poses.
 
-`unplug`: three servers of motion JPEG on loopback, each a process, send what three webcams see of a
-rod that is moved; one is killed and started again. A point is *wrong* if it is more than 5 % of the
-plane's side off. A pause is the time between two points, as they come.
+`unplug`: three motion JPEG servers on loopback, each a process, send pictures of a moving rod from
+three webcams; one is killed and restarted. A point is *wrong* if its error exceeds 5 % of the
+plane's side. A pause is the time between the arrivals of two points.
 
-`age`: the time from a picture's sending to its fetching by a consumer that works so long on each;
-and how old, on average over time, the picture is that its newest result is made of.
+`age`: the latency from sending a picture to fetching it, for a consumer with a constant processing
+time; and the mean over time of the age of the picture behind its newest result.
 """
 
 from __future__ import annotations
@@ -67,10 +67,10 @@ Array = NDArray[np.float64]
 FPS = 30.0
 SKEWS_MS = (0.0, 4.0, 8.0, 16.0, 24.0, 33.0)
 SETTLE_S = 0.5
-"""Time that the device keeps still before it moves, for the trackers to settle."""
+"""Time that the device is at rest before it moves, for the trackers to settle."""
 
 AZIMUTHS_DEG = (-15.0, 15.0, -45.0, 45.0, -75.0, 75.0)
-"""Cameras in the order in which they join."""
+"""Cameras, in the order in which they are added."""
 
 
 # --- skew -----------------------------------------------------------------------------------------
@@ -78,7 +78,7 @@ AZIMUTHS_DEG = (-15.0, 15.0, -45.0, 45.0, -75.0, 75.0)
 
 @dataclass(frozen=True)
 class Film:
-    """A motion that two cameras see, the second one as much later as its skews say.
+    """A motion filmed by two cameras, the second one later by its skews.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Film:
 
 
 def filmed(speed_m_s: float, passes: int, skews_s: Array | float) -> Film:
-    """Film a rod that points along a figure eight."""
+    """Render a rod that points along a figure eight."""
     rig = SimulatedRig(Placement.webcams(), sensor=Sensor(noise=0.0))
     path = figure_eight(rig.workspace) * passes
     still = Trajectory.hold(path[0], SETTLE_S)
@@ -137,7 +137,7 @@ def points_mm(rig: Rig, frames: Sequence[tuple[Frame, Frame]]) -> Array:
 
 
 def shifted(frames: Sequence[tuple[Frame, Frame]], rig: Rig) -> Iterator[tuple[Frame, Frame]]:
-    """Play pictures with the offsets of a rig added to their times."""
+    """Yield pictures with the offsets of a rig added to their times."""
     for pair in frames:
         first, second = (
             Frame(frame.index, frame.time_s + view.offset_s, frame.image)
@@ -168,9 +168,9 @@ def measure_skew(speed_m_s: float, passes: int) -> None:
         name = f"{skew:9.0f}" if is_constant else " 0 to 33 "
         row = [caused(film.rig, film.frames), caused(film.rig, film.taken_at_once())]
         if is_constant:
-            told = film.taken_at_once()
-            synced = synchronise(film.rig, partial(shifted, told)).rig
-            row.append(caused(synced, list(shifted(told, synced))))
+            at_once_frames = film.taken_at_once()
+            synced = synchronise(film.rig, partial(shifted, at_once_frames)).rig
+            row.append(caused(synced, list(shifted(at_once_frames, synced))))
             row.append(f"{1e3 * synced.views[1].offset_s:6.2f}")
         print(name, "  ", "   ".join(row), flush=True)
     off = np.linalg.norm(expected - at_once.truth_mm, axis=1)[still:]
@@ -213,13 +213,13 @@ LOOP_SPEED_M_S = 0.2
 GROSS_SHARE = 0.05
 SETTLED_S, KILLED_S, RESTARTED_S, ENDED_S = 1.0, 5.0, 11.0, 20.0
 ABOUT_S = 0.7
-"""Time before and after a camera goes or returns in which that shows."""
+"""Time before and after the loss or return of a camera that counts as the transition."""
 _STAMP = struct.Struct(">QI")
-"""When a picture was sent [ns] and its number, in a comment of its JPEG."""
+"""Time of sending a picture [ns] and its number, in a comment of its JPEG."""
 
 
 class CameraServer(http.server.ThreadingHTTPServer):
-    """A camera that sends the pictures of a folder, each when its time has come by the clock."""
+    """A camera that sends the pictures of a folder at a constant rate."""
 
     daemon_threads = True
 
@@ -258,13 +258,13 @@ def _part(jpeg: bytes, number: int) -> bytes:
 
 
 def stamp_of(frame: Frame) -> tuple[float, int]:
-    """When a picture was sent [s], and its number, by the stamp in its JPEG."""
+    """Return the time of sending [s] and the number of a picture, from the stamp in its JPEG."""
     time_ns, number = _STAMP.unpack_from(frame.encoded, 6)
     return time_ns / 1e9, number
 
 
 def free_port() -> int:
-    """Return a port that nobody listens at."""
+    """Return a free port."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         return int(listener.getsockname()[1])
 
@@ -285,7 +285,7 @@ def started(port: int, folder: Path) -> subprocess.Popen[bytes]:
 
 @contextmanager
 def running(port: int, folder: Path) -> Iterator[list[subprocess.Popen[bytes]]]:
-    """Run a camera; whoever starts another in its place appends it to the list."""
+    """Run a camera; a caller that starts another in its place appends it to the list."""
     cameras = [started(port, folder)]
     try:
         yield cameras
@@ -296,7 +296,7 @@ def running(port: int, folder: Path) -> Iterator[list[subprocess.Popen[bytes]]]:
 
 
 def looped() -> tuple[SimulatedRig, Trajectory]:
-    """Three webcams, and a rod that goes round a figure for ever."""
+    """Return a rig of three webcams, and the endless motion of a rod round a figure."""
     placement = replace(Placement.webcams(), azimuths_deg=(-25.0, 0.0, 25.0))
     rig = SimulatedRig(placement)
     path = figure_eight(rig.workspace)
@@ -304,7 +304,7 @@ def looped() -> tuple[SimulatedRig, Trajectory]:
 
 
 def write_pictures(rig: SimulatedRig, motion: Trajectory, folder: Path) -> int:
-    """Write what each camera sees of one round; return how many pictures that are."""
+    """Write the pictures of each camera for one round; return their number per camera."""
     count = int(motion.duration_s * FPS)
     rng = np.random.default_rng(0)
     for k in range(count):
@@ -316,23 +316,23 @@ def write_pictures(rig: SimulatedRig, motion: Trajectory, folder: Path) -> int:
 
 
 @dataclass(frozen=True)
-class Told:
-    """A point, when it came [s since the beginning], its error [mm], and by how many views."""
+class Estimate:
+    """A point: time of arrival [s since the beginning], error [mm], and number of views."""
 
     came_s: float
     error_mm: float
     views: int
 
 
-def told(
+def estimates(
     rig: Rig,
     motion: Trajectory,
     count: int,
     cameras: list[list[subprocess.Popen[bytes]]],
     view: int,
     restart: Sequence[object],
-) -> Iterator[Told]:
-    """Follow the cameras, kill one and start it again; give the points as they come."""
+) -> Iterator[Estimate]:
+    """Track from the cameras, kill one and restart it; yield the points as they arrive."""
     begin_s, todo = math.inf, [(KILLED_S, "kill"), (RESTARTED_S, "restart")]
     for fix, frames in track(rig, frames=True):
         now_s = time.monotonic()
@@ -345,20 +345,20 @@ def told(
             else:
                 command = [sys.executable, __file__, "serve", *map(str, restart)]
                 cameras[view].append(subprocess.Popen(command))
-        # A fix is of the first view's picture, or of the time that it would have been taken at.
+        # A fix refers to the first view's picture, or to its expected time if it is missing.
         first = frames[0]
         place = stamp_of(first)[1] if isinstance(first, Frame) else (fix.time_s * FPS) % count
         true_mm = motion.pose_at(place / FPS).indicated_mm
         assert true_mm is not None
         error_mm = float(np.linalg.norm(fix.point - true_mm))
         used = sum(line is not None for line in fix.constraint_lines)
-        yield Told(now_s - begin_s, error_mm, used)
+        yield Estimate(now_s - begin_s, error_mm, used)
         if now_s - begin_s > ENDED_S:
             return
 
 
 def measure_unplugged(view: int) -> None:
-    """Print pauses and errors before, while and after a camera is away."""
+    """Print pauses and errors before, during and after the absence of a camera."""
     simulated, motion = looped()
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
@@ -367,7 +367,7 @@ def measure_unplugged(view: int) -> None:
         cameras = [stack.enter_context(running(*place)) for place in places]
         sources = [f"http://127.0.0.1:{port}/stream.mjpg" for port, _ in places]
         rig = rig_from_simulation(simulated, sources=sources)
-        points = list(told(rig, motion, count, cameras, view, places[view]))
+        points = list(estimates(rig, motion, count, cameras, view, places[view]))
     came_s = np.array([one.came_s for one in points])
     used = np.array([one.views for one in points])
     (back,) = np.nonzero((came_s > RESTARTED_S) & (used == len(cameras)))
@@ -392,7 +392,7 @@ def measure_unplugged(view: int) -> None:
 
 
 def measure_age(works_ms: Sequence[float], span_s: float = 6.0) -> None:
-    """Print the age of a camera's pictures as they are fetched."""
+    """Print the age of a camera's pictures when they are fetched."""
     simulated, motion = looped()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -411,7 +411,7 @@ def measure_age(works_ms: Sequence[float], span_s: float = 6.0) -> None:
 
 
 def fetched_s(port: int, work_s: float, span_s: float) -> Iterator[tuple[float, float]]:
-    """Fetch pictures; give when each was sent and when it was fetched [s]."""
+    """Fetch pictures; yield the times of sending and of fetching each [s]."""
     with open_source(f"http://127.0.0.1:{port}/stream.mjpg") as source:
         end_s = time.monotonic() + span_s
         for (frame,) in read_views([source]):
@@ -425,13 +425,13 @@ def fetched_s(port: int, work_s: float, span_s: float) -> Iterator[tuple[float, 
 
 
 def mean_age_s(sent_s: Array, done_s: Array) -> float:
-    """Mean over time of the age of the newest result: results are done some time after sending."""
+    """Return the mean over time of the age of the newest result, from sending to done."""
     from_s, to_s = done_s[:-1] - sent_s[:-1], done_s[1:] - sent_s[:-1]
     return float(np.sum(to_s**2 - from_s**2) / 2.0 / np.sum(to_s - from_s))
 
 
 def main() -> None:
-    """Measure what is asked for."""
+    """Run the measurement that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     figures = parser.add_subparsers(dest="figure", required=True)
     skew = figures.add_parser("skew")

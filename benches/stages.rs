@@ -1,12 +1,12 @@
 //! The stages of one frame: search along 100 normals of ±20 px, fit, a whole iteration, and whole
-//! updates of a tracker that follows a hand; then what it takes to find one. Frames are rotated, so
-//! that each is cold in cache.
+//! updates of a tracker that follows a hand; then background learning and the detection of
+//! candidates. Frames are taken in turn, so that each is cold in cache.
 //!
 //!     cargo bench -p fingerpost-benches
 
 #![expect(
     clippy::unwrap_used,
-    reason = "a benchmark: its groups document themselves, and a scene that does not work should stop it"
+    reason = "a benchmark: its groups document themselves, and a failure should stop it"
 )]
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
@@ -48,7 +48,7 @@ fn lines<S: ShapeSpace<D>, const D: usize>(
     samples.iter().map(line).collect()
 }
 
-/// Search, linearise and solve once in one shape space.
+/// Search, fit and a whole iteration in one shape space.
 fn iteration<S: PlanarSpace<D>, const D: usize>(c: &mut Criterion, name: &str) {
     let samples = Template::pistol(Thumb::Right).unwrap().samples(NORMALS).unwrap();
     for (size, pixels, count) in SIZES {
@@ -152,7 +152,7 @@ fn updates(c: &mut Criterion) {
     group.finish();
 }
 
-/// What a view without a hand costs: learning its background, and looking for candidates.
+/// The work for a view without a hand: learning its background, and detecting candidates.
 fn finding(c: &mut Criterion) {
     for (size, pixels, count) in SIZES {
         let scenes = frames(pixels, count);

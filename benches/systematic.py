@@ -1,16 +1,16 @@
-"""What is left of the error when noise and the rounding to 8 bits average out.
+"""Systematic error: the mean over noise and over the rounding to 8 bits.
 
     python benches/systematic.py [--targets 60] [--pairs 32] [--rig uniform]
 
-A picture without noise is rounded alike wherever its levels are alike, and that alone moves a
-point by some hundredths of a millimetre. A little noise makes the rounding random: the mean over
-many repetitions of one pose tells what is wrong with every one of them. They come in pairs whose
-noise has either sign, so that only what is not in proportion to it is left for the mean to remove:
-a pair is worth ten repetitions. Reference points are exact. Each row is a rig: the paper's, and
-webcams at 75 cm without and with a lens that is told.
+In a picture without noise, equal levels have equal rounding errors; these alone move a point by
+some hundredths of a millimetre. A little noise makes the rounding random, and the mean over many
+repetitions of one pose is the systematic error. The repetitions come in pairs with noise of
+opposite sign. In the mean of a pair, the error in proportion to the noise cancels, so a pair is as
+effective as ten repetitions. Reference points are exact. Each row is a rig: the paper's, and
+webcams at 75 cm without a lens and with a known one.
 
-What the noise leaves in a mean falls with the root of the pairs, and a few poses have most of it:
-each row says how far two standard errors reach.
+The standard error of the mean falls with the root of the number of pairs, and a few poses have most
+of it. Each row therefore gives the upper bound at two standard errors.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ RIGS = {
     "the paper's rig, uniform finger": {"taper": 0.0},
     "the paper's rig, taper 10 %": {},
     "close webcams without a lens": {"cameras": WEBCAMS()},
-    "close webcams, k1 = -0.2 told": {"cameras": WEBCAMS(k1=(-0.2,))},
+    "close webcams, k1 = -0.2 known": {"cameras": WEBCAMS(k1=(-0.2,))},
 }
-# As much as makes the rounding of neighbours independent of each other, and no more.
+# The least noise that makes the rounding errors of neighbours independent.
 NOISE_GREY = 0.5
 _SHARES = 16
 
@@ -56,7 +56,7 @@ def main() -> None:
         )
         squares, variances = squared_bias(options, asked.pairs).T
         if not len(squares):
-            print(f"{name}: no target was told in two pairs")
+            print(f"{name}: no target has a point in two pairs")
             continue
         reach = squares.mean() + 2.0 * np.sqrt(variances.sum()) / len(squares)
         rms_mm, reach_mm, median_mm = np.sqrt(
@@ -72,12 +72,12 @@ def main() -> None:
 
 
 def squared_bias(options: ExperimentOptions, pairs: int) -> np.ndarray:
-    """Squared systematic error of each target that was told [mm²], and the variance of that.
+    """Return the squared systematic error [mm²] of each target with a point, and its variance.
 
     Returns
     -------
     (N, 2)
-        The first is unbiased, so that it can be below zero; the second is rather too large.
+        The first column is unbiased, so it can be negative; the second is rather too large.
     """
     shares = [range(k, options.targets, _SHARES) for k in range(_SHARES)]
     with ProcessPoolExecutor() as pool:
@@ -91,15 +91,15 @@ def _squared_bias(
     bench = Bench(options)
     rows = []
     for index in share:
-        told = [_errors_of_pair(bench, index, repeat) for repeat in range(pairs)]
-        errors = np.array([np.mean(both, axis=0) for both in told if len(both) == 2])
+        repeats = [_errors_of_pair(bench, index, repeat) for repeat in range(pairs)]
+        errors = np.array([np.mean(both, axis=0) for both in repeats if len(both) == 2])
         if len(errors) < 2:
             continue
         mean = errors.mean(axis=0)
         of_the_mean = np.cov(errors.T) / len(errors)
         square = float(mean @ mean - np.trace(of_the_mean))
-        # Of |m + e|² for a normal e: 4 m'Cm + 2 tr C², with what the noise adds to m'Cm taken off,
-        # which by chance may be more than there is.
+        # Variance of |m + e|² for a normal e: 4 m'Cm + 2 tr C². The contribution of the noise to
+        # m'Cm is subtracted; by chance it may exceed m'Cm.
         noise = float(np.sum(of_the_mean**2))
         variance = 4.0 * max(float(mean @ of_the_mean @ mean) - noise, 0.0) + 2.0 * noise
         rows.append((square, variance))

@@ -1,10 +1,10 @@
-"""What the arm does without a hand: nobody comes, and the hand vanishes while the arm follows.
+"""Behaviour of the arm without a hand: no hand comes, or it vanishes while the arm follows it.
 
     python benches/unattended.py [--seeds 40] [--workers 2]
 
-The simulated cell under physics, its cameras always on, the dead man's key held down throughout:
-the same session that `fingerpost robot pick` runs. Prints a line for every seed that is not as it
-should be, and the worst of each kind.
+The simulated cell under physics, with its cameras always on and the dead man's key held down
+throughout: the same session that `fingerpost robot pick` runs. Prints a line for every seed that
+violates a limit, and the worst of each kind.
 """
 
 import argparse
@@ -16,10 +16,10 @@ from fingerpost.closed_loop.trials import stay_away, vanish
 from fingerpost.workers import sharing, worker_count
 
 HELD_S = 0.5
-"""A hand that is gone stops the arm within this [s]."""
+"""Maximum time from the disappearance of the hand to the stop of the arm [s]."""
 
 STILL_MM = 1.0
-"""An arm that has not been sent anywhere has gone no farther: its joints give [mm]."""
+"""Maximum travel of an arm that was sent no goal, from the compliance of its joints [mm]."""
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Films and pictures for tests of what is read: no two of their frames are alike."""
+"""Films and pictures for tests of sources; all their frames differ."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ SIZE_PX = (160, 128)
 
 
 def textured(count: int, *, seed: int = 0) -> list[Picture]:
-    """Pictures of a textured table under which a bright square moves, no two alike."""
+    """Return different pictures of a textured table with a bright square that moves over it."""
     width, height = SIZE_PX
     rng = np.random.default_rng(seed)
     table = cv2.GaussianBlur(rng.integers(0, 256, (height, width, 3), np.uint8), (0, 0), 2)
@@ -26,7 +26,7 @@ def textured(count: int, *, seed: int = 0) -> list[Picture]:
 
 
 def write_film(path: Path, pictures: list[Picture], fourcc: str, *, fps: float = 25.0) -> Path:
-    """Write a film; its name says in which container."""
+    """Write a film; the suffix of its name determines the container."""
     height, width = pictures[0].shape[:2]
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*fourcc), fps, (width, height))
     assert writer.isOpened()

@@ -1,4 +1,4 @@
-"""Exact rigs for the tests of the geometry: pinholes over a plane and a rod that points at it.
+"""Exact rigs for tests of the geometry: pinhole cameras above a plane, and a rod pointing at it.
 
 Lengths in mm, plane Z = 0, pixels with u right and v down. The standard rig: cameras 2 m away, 30°
 apart, 42° above the table, a 400 mm workspace that fills 65 % of 640 px.
@@ -39,7 +39,7 @@ def camera(
     focal_px: float = 1692.0,
     centre_px: tuple[float, float] = (319.5, 239.5),
 ) -> Camera:
-    """A camera on the side Y < 0 that looks at the middle of the workspace."""
+    """Return a camera on the side Y < 0 that points at the middle of the workspace."""
     azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
     outward = np.array(
         [
@@ -76,7 +76,7 @@ def rod(
     tip_height_mm: float,
     length_mm: float = 80.0,
 ) -> Rod:
-    """Points down by `slant_deg`; azimuth 0 points towards the cameras (−Y), 180 away from them."""
+    """Return a rod pointing down by `slant_deg`; azimuth 0: towards the cameras (−Y), 180: away."""
     azimuth, slant = np.radians([azimuth_deg, slant_deg])
     direction = np.array(
         [np.sin(azimuth) * np.cos(slant), -np.cos(azimuth) * np.cos(slant), -np.sin(slant)]
@@ -86,7 +86,7 @@ def rod(
 
 
 def random_rod(rng: np.random.Generator, azimuth_deg: tuple[float, float] = (-100.0, 100.0)) -> Rod:
-    """Targets over the workspace, tip 5–25 cm up, slant 25–65°, length 70–90 mm."""
+    """Draw a rod: target in the workspace, tip 5–25 cm up, slant 25–65°, length 70–90 mm."""
     return rod(
         rng.uniform(0.05, 0.95, 2) * SIDE,
         rng.uniform(*azimuth_deg),
@@ -97,7 +97,7 @@ def random_rod(rng: np.random.Generator, azimuth_deg: tuple[float, float] = (-10
 
 
 def view_ray_angle_deg(view: Camera, pointing: Rod) -> float:
-    """Angle between the rod and the ray through its tip; near 0 the rod is seen end-on."""
+    """Return the angle between the rod and the ray through its tip; near 0 it is seen end-on."""
     along = pointing.tip - pointing.base
     ray = pointing.tip - view.position
     cosine = abs(along @ ray) / np.linalg.norm(along) / np.linalg.norm(ray)
@@ -110,7 +110,7 @@ def seen_rod(
     azimuth_deg: tuple[float, float] = (-100.0, 100.0),
     min_ray_angle_deg: float = 25.0,
 ) -> Rod:
-    """A random rod that no camera sees end-on."""
+    """Draw a rod that no camera sees end-on."""
     while True:
         pointing = random_rod(rng, azimuth_deg)
         if min(view_ray_angle_deg(c, pointing) for c in cameras) > min_ray_angle_deg:
@@ -124,7 +124,7 @@ def finger_line(
     time_s: float = 0.0,
     noise: np.ndarray = (0.0, 0.0),
 ) -> FingerLine:
-    """Exact image of the rod's axis, shifted and turned by `noise` = (offset px, angle rad)."""
+    """Project the rod's axis; displace the line by `noise` = (offset px, angle rad)."""
     base, tip = view.project(np.stack([pointing.base, pointing.tip]))
     middle, along = (base + tip) / 2, tip - base
     angle = np.arctan2(along[1], along[0])
@@ -151,7 +151,7 @@ def plane_view(
 
 
 def central_differences(function, x: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Jacobian of `function` at `x`, steps of 1e-5 of `scale`; columns belong to entries of x."""
+    """Return the Jacobian of `function` at `x`, a column per entry, with steps 1e-5 `scale`."""
     columns = []
     for k, size in enumerate(np.asarray(scale, dtype=float)):
         step = np.zeros(len(x))
@@ -161,7 +161,7 @@ def central_differences(function, x: np.ndarray, scale: np.ndarray) -> np.ndarra
 
 
 def random_warp(rng: np.random.Generator, extent: float) -> np.ndarray:
-    """A homography that is far from affine, with W > 0 on all of ``[0, extent]²``."""
+    """Draw a homography that is far from affine, with W > 0 on all of ``[0, extent]²``."""
     turn = rng.uniform(0, 2 * np.pi)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     warp = np.eye(3)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -20,8 +21,11 @@ PRIVATE_LANGUAGE = (
 )
 """Words that stood for the field's terms; none is part of the name of anything."""
 
-RETIRED_WORDS = r"told|tells|mould\w*|sagitta\w*|foretold"
+RETIRED_WORDS = r"tell|told|tells|mould\w*|sagitta\w*|foretold"
 """Those of them that comments do without as well."""
+
+OTHERS_NAMES = r"tell|_?seek\w*|skin"
+"""Names that are not the house's: Python's file protocol, Matroska's elements, a colour."""
 
 
 def rust_files() -> dict[str, Path]:
@@ -160,18 +164,36 @@ def type_names() -> Counter[str]:
     return names
 
 
-def declared(kind: str = "rust") -> Iterator[tuple[str, str]]:
-    """Every file and name of a type, function or constant that is declared in it."""
+def sources(*suffixes: str) -> list[Path]:
+    """Every file of the project with one of these suffixes, but for this one."""
+    rooms = ("python", "crates", "tests", "benches", "docs", "examples")
+    found = [path for room in rooms for path in sorted((ROOT / room).rglob("*"))]
+    return [path for path in found if path.suffix in suffixes and path != Path(__file__).resolve()]
+
+
+def declared() -> Iterator[tuple[str, str]]:
+    """Every name that is declared, in both languages, with its file."""
     rust = r"\b(?:struct|enum|trait|type|fn|const|static|mod)\s+([A-Za-z_]\w*)"
-    python = r"(?m)^\s*(?:def|class)\s+(\w+)|^([A-Z_0-9]+)\s*[:=]"
-    if kind == "rust":
-        for module, path in rust_files().items():
-            for name in re.findall(rust, code_of(path.read_text())):
-                yield module, name
-        return
-    for path in sorted((ROOT / "python" / "fingerpost").rglob("*.py")):
-        for names in re.findall(python, path.read_text()):
-            yield str(path.relative_to(ROOT / "python")), next(filter(None, names))
+    for path in sources(".rs"):
+        code = re.sub(r'//[^\n]*|"(?:\\.|[^"\\])*"', "", path.read_text())
+        yield from ((str(path.relative_to(ROOT)), name) for name in re.findall(rust, code))
+    for path in sources(".py", ".pyi"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if (name := _name_declared_by(node)) is not None:
+                yield str(path.relative_to(ROOT)), name
+
+
+def _name_declared_by(node: ast.AST) -> str | None:
+    match node:
+        case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
+            return node.name
+        case ast.arg():
+            return node.arg
+        case ast.Name(ctx=ast.Store()):
+            return node.id
+        case ast.Attribute(ctx=ast.Store()):
+            return node.attr
+    return None
 
 
 def function_lengths() -> list[tuple[int, str]]:
@@ -208,19 +230,23 @@ def public_items() -> list[str]:
 def private_names() -> list[tuple[str, str]]:
     """Files and names that still use the private language."""
     private = re.compile(rf"^(?:{PRIVATE_LANGUAGE})$")
-    return [
-        (where, name)
-        for where, name in [*declared("rust"), *declared("python")]
-        if any(private.match(word) for word in words_of(name))
-    ]
+    others = re.compile(rf"^(?:{OTHERS_NAMES})$", re.IGNORECASE)
+    return sorted(
+        {
+            (where, name)
+            for where, name in declared()
+            if any(private.match(word) for word in words_of(name)) and not others.match(name)
+        }
+    )
 
 
 def retired_words() -> list[tuple[str, int]]:
-    """Files with comments that use a retired word, and how often."""
+    """Files with words that are retired, and how often."""
     found = []
-    sources = [*CORE.rglob("*.rs"), *(ROOT / "python" / "fingerpost").rglob("*.py")]
-    for path in sorted(sources):
-        count = len(re.findall(rf"\b(?:{RETIRED_WORDS})\b", path.read_text()))
+    for path in [*sources(".rs", ".py", ".pyi", ".js", ".md"), *ROOT.glob("*.md")]:
+        # Python's file protocol has one of them as a method.
+        text = re.sub(r"\.tell\(\)|\btell = position\b", "", path.read_text())
+        count = len(re.findall(rf"(?i)\b(?:{RETIRED_WORDS})\b", text))
         if count:
             found.append((str(path.relative_to(ROOT)), count))
     return found
@@ -243,7 +269,7 @@ def report() -> None:
     print(f"private names: {len(private)}")
     for where, name in private:
         print(f"  {where}: {name}")
-    print(f"comments with retired words: {sum(count for _, count in retired_words())}")
+    print(f"retired words: {sum(count for _, count in retired_words())}")
     for where, count in retired_words():
         print(f"  {where}: {count}")
 

@@ -1,4 +1,4 @@
-"""The operator's page as tests meet it: served by a process of its own, or in this one."""
+"""Helpers for tests of the operator's page: a command that serves it, its messages, axe-core."""
 
 import http.client
 import json
@@ -15,7 +15,7 @@ RIG = Path(__file__).parents[1] / "python" / "fingerpost" / "data" / "desk" / "r
 
 
 class Served:
-    """A command that serves the page, running."""
+    """A running command that serves the page."""
 
     def __init__(self, *arguments: object, folder: Path | None = None) -> None:
         command = [sys.executable, "-m", "fingerpost", *map(str, arguments)]
@@ -37,7 +37,7 @@ class Served:
         self.cookie = f"fingerpost-{self.port}={self.token}"
 
     def ask(self, method: str, path: str, **headers: str) -> tuple[int, str, dict[str, str]]:
-        """Status, text and headers of an answer."""
+        """Send a request; return status, text and headers of the response."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
         given = {"Host": self.host, **{k.replace("_", "-"): v for k, v in headers.items()}}
         connection.request(method, path, headers=given)
@@ -47,7 +47,7 @@ class Served:
         return answer.status, text, {k.lower(): v for k, v in answer.getheaders()}
 
     def end(self) -> tuple[int, str]:
-        """Exit code and stderr, once it has ended."""
+        """Wait for its end; return exit code and stderr."""
         _, err = self.process.communicate(timeout=PATIENCE_S)
         return self.process.returncode, err
 
@@ -56,7 +56,7 @@ class Served:
 def served(
     *arguments: object, command: str = "live", folder: Path | None = None
 ) -> Iterator[Served]:
-    """Run a command, by default `live` of the clip or of a folder, and see to it that it ends."""
+    """Run a command, by default `live` on the clip or in a folder; kill it on exit."""
     running = Served(command, *(arguments or (() if folder else (RIG,))), folder=folder)
     try:
         yield running
@@ -83,7 +83,7 @@ def pictures_in(message: bytes) -> list[bytes]:
 
 
 def unclean(page) -> list[tuple[str, list[str], str]]:
-    """What axe-core finds wrong with a browser's page as it is now: rule, place and why."""
+    """Return axe-core's violations of the page as it is now: rule, elements and reason."""
     from axe_playwright_python.base import AXE_SCRIPT
 
     page.evaluate(AXE_SCRIPT)

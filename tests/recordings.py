@@ -1,4 +1,4 @@
-"""Recordings as another library reads them."""
+"""Reads recordings by the MCAP library, as other programs do."""
 
 import json
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 
 def messages(path: Path) -> Iterator[tuple[str, str, Any, Any]]:
-    """Topic, schema, message and content of every message of a recording."""
+    """Yield topic, schema, message and content of every message of a recording."""
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for schema, channel, message in reader.iter_messages():

@@ -1,4 +1,4 @@
-"""Pictures of rectangles that lie on a table, with their exact corners."""
+"""Pictures of rectangles on a table, with exact corners."""
 
 import math
 
@@ -8,9 +8,9 @@ SIZE = (640, 480)
 
 
 def corners_of_view(rng, size=(210.0, 297.0), picture=SIZE, distance=(1.6, 2.6)):
-    """Corners of a rectangle (0, 0), (w, 0), (w, h), (0, h) as some camera shows them, (4, 2).
+    """Return the image corners (4, 2) of a rectangle (0, 0), (w, 0), (w, h), (0, h).
 
-    The camera stands 30° to 75° above the table, somewhere on the near side, and turned a little.
+    The random camera is 30° to 75° above the table, on the near side, with a roll of up to 8°.
     """
     w, h = size
     elevation, azimuth = np.radians(rng.uniform(30, 75)), np.radians(rng.uniform(-150, -30))
@@ -39,7 +39,7 @@ def corners_of_view(rng, size=(210.0, 297.0), picture=SIZE, distance=(1.6, 2.6))
 
 
 def inside(corners_px, picture=SIZE, sigma_px=0.8):
-    """The part of each pixel inside of a convex outline that is blurred by a Gaussian, 0 to 1."""
+    """Return the part of each pixel inside a convex outline blurred by a Gaussian, 0 to 1."""
     erf = np.vectorize(math.erf, otypes=[float])
     v, u = np.indices(picture[::-1]).astype(float)
     x, y = np.asarray(corners_px).T
@@ -58,14 +58,14 @@ def inside(corners_px, picture=SIZE, sigma_px=0.8):
 
 
 def noisy(levels, rng, noise):
-    """Grey levels as a camera gives them."""
+    """Add Gaussian noise to grey levels and round them to 8 bits."""
     return np.clip(np.round(levels + noise * rng.normal(size=levels.shape)), 0, 255).astype(
         np.uint8
     )
 
 
 def covered(levels, corners_px, rng, part):
-    """Cover a part of an outline by discs of another level, one at a place of each side."""
+    """Cover a part of each side of an outline by a disc of another level."""
     v, u = np.indices(levels.shape).astype(float)
     levels = levels.copy()
     for a, b in zip(corners_px, np.roll(corners_px, -1, axis=0), strict=True):

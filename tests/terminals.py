@@ -1,4 +1,4 @@
-"""The command line with a terminal, as a person meets it; needs POSIX terminals."""
+"""The command line on a pseudo-terminal; needs POSIX."""
 
 import os
 import pty
@@ -12,11 +12,14 @@ from typing import Any
 
 from patience import PATIENCE_S
 
-THE_END = r"(?!)"  # a pattern that nothing has
+RESEND_AFTER_S = 10.0
+"""A second Ctrl-C while a program ends would take its exit code, and ending takes a while."""
+
+THE_END = r"(?!)"  # a pattern that never matches
 
 
 class Terminal:
-    """A program that has a terminal as its stderr; as its stdout and its stdin, too, if wanted."""
+    """A program with a terminal as its stderr, and as stdout if `both` and stdin if `asks`."""
 
     def __init__(
         self, *arguments: object, both: bool = False, asks: bool = False, **options: Any
@@ -34,12 +37,12 @@ class Terminal:
         os.write(self._terminal, f"{words}\n".encode())
 
     def read_until(self, pattern: str) -> str:
-        """What the program says until the pattern is found, or until it ends."""
+        """Return the program's output until the pattern is found, or until it ends."""
         said = ""
         while not re.search(pattern, said):
             try:
                 data = os.read(self._terminal, 4096)
-            except OSError:  # Linux says so where nobody writes any more
+            except OSError:  # on Linux, the other end is closed
                 data = b""
             if not data:
                 break
@@ -47,17 +50,17 @@ class Terminal:
         return said
 
     def interrupt(self) -> None:
-        """Press Ctrl-C at a prompt until it is heard.
+        """Press Ctrl-C at a prompt until the program ends.
 
-        Python overlooks one that comes between showing a prompt and waiting for its answer.
+        Python ignores one that comes between showing a prompt and waiting for its answer.
         """
         while self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
             with suppress(subprocess.TimeoutExpired):
-                self.process.wait(1.0)
+                self.process.wait(RESEND_AFTER_S)
 
     def end(self) -> tuple[int, str]:
-        """Exit code and stdout of the program, once it has ended."""
+        """Wait for the program to end; return its exit code and stdout."""
         out, _ = self.process.communicate(timeout=PATIENCE_S)
         return self.process.returncode, out
 
@@ -69,7 +72,7 @@ class Terminal:
 
 @contextmanager
 def on_a_terminal(*arguments: object, **options: Any) -> Iterator[Terminal]:
-    """Run `fingerpost` with arguments on a terminal, and see to it that it ends."""
+    """Run `fingerpost` with arguments on a terminal, and kill it in the end."""
     terminal = Terminal(*arguments, **options)
     try:
         yield terminal

@@ -1,4 +1,4 @@
-"""The placement advisor: cameras from homographies, forecasts against bounds, moves that help."""
+"""The placement advisor: cameras from homographies, predicted errors, and recommended moves."""
 
 import json
 import math
@@ -76,7 +76,7 @@ def rig_of(placement, *, unit="mm", plane=SQUARE, change=lambda points_px: point
 def test_a_camera_is_recovered_from_four_points(placement):
     rig, cameras = recovered(placement)
     for found, true in zip(cameras, rig.cameras, strict=True):
-        # What is known of cameras beforehand pulls by a share of what the view leaves open.
+        # The priors bias the estimate by a small part of its uncertainty.
         assert found.focal_px == pytest.approx([true.f_px] * 2, rel=2e-3)
         assert found.centre == pytest.approx(true.centre_mm, rel=2e-3, abs=2.0)
         assert not found.mirrored
@@ -92,9 +92,7 @@ def test_a_camera_is_recovered_from_four_points(placement):
     distance_m=st.floats(0.6, 3),
     turn=st.integers(0, 3),
 )
-def test_the_recovered_camera_sees_the_reference_points_where_they_are(
-    elevation, azimuth, distance_m, turn
-):
+def test_the_recovered_camera_reprojects_the_reference_points(elevation, azimuth, distance_m, turn):
     placement = Placement((distance_m), (azimuth,), elevation, f_px=900.0)
     (px,) = SimulatedRig(placement).reference_points_px
     plane, px = np.roll(SQUARE, turn, axis=0), np.roll(px, turn, axis=0)
@@ -104,7 +102,7 @@ def test_the_recovered_camera_sees_the_reference_points_where_they_are(
     assert camera.centre[2] > 0.0
 
 
-def test_its_focal_length_is_as_uncertain_as_it_says():
+def test_the_focal_lengths_standard_deviation_agrees_with_its_scatter():
     rig = SimulatedRig(PAPER)
     rng = np.random.default_rng(SEED)
     px, sigma = rig.reference_points_px[0], 0.5
@@ -113,12 +111,12 @@ def test_its_focal_length_is_as_uncertain_as_it_says():
         noisy = px + rng.normal(0.0, sigma, px.shape)
         camera = recover_camera(view_of(noisy), noisy, SIZE, sigma_px=sigma)
         logs.append(math.log(camera.focal_px[0]))
-    # The principal point is not drawn here but counted, so the scatter stays below.
+    # `focal_sigma` includes the principal point's uncertainty, which is not simulated here.
     exact = recover_camera(view_of(px), px, SIZE, sigma_px=sigma)
     assert 0.4 * exact.focal_sigma < np.std(logs) < 1.1 * exact.focal_sigma
 
 
-def test_a_view_from_straight_above_assumes_a_usual_camera_and_says_so():
+def test_a_view_from_straight_above_has_the_prior_focal_length():
     (px,) = SimulatedRig(Placement(azimuths_deg=(0.0,), elevation_deg=90.0)).reference_points_px
     camera = recover_camera(view_of(px), px, SIZE, sigma_px=0.5)
     assert camera.focal_px[0] == pytest.approx(FOCAL_PRIOR[0] * 640)
@@ -126,7 +124,7 @@ def test_a_view_from_straight_above_assumes_a_usual_camera_and_says_so():
     assert camera.centre[:2] == pytest.approx([200.0, 200.0], abs=1.0)
 
 
-def test_a_given_lens_is_believed():
+def test_a_given_lens_is_taken_as_exact():
     placement = Placement(azimuths_deg=(20.0,), f_px=700.0, distance_m=0.9, k1=(-0.2,))
     rig = SimulatedRig(placement)
     (px,), (true,) = rig.reference_points_px, rig.cameras
@@ -137,7 +135,7 @@ def test_a_given_lens_is_believed():
     assert camera.shows(np.array([[320.0, 240.0], [800.0, 240.0]])).tolist() == [True, False]
 
 
-def test_a_plane_seen_the_other_way_round_has_its_height_on_the_cameras_side():
+def test_a_left_handed_plane_has_its_height_on_the_cameras_side():
     rig = SimulatedRig(PAPER)
     mirrored = SQUARE[:, ::-1]  # X and Y swapped: left-handed as seen from above
     px = rig.reference_points_px[0]
@@ -147,7 +145,7 @@ def test_a_plane_seen_the_other_way_round_has_its_height_on_the_cameras_side():
     assert camera.centre == pytest.approx([y, x, height], rel=2e-3, abs=2.0)
 
 
-def test_coordinates_that_are_not_to_scale_fit_no_camera():
+def test_coordinates_of_unequal_scale_fit_no_camera():
     px = SimulatedRig(WIDE).reference_points_px[0]
     stretched = SQUARE * [1.0, 0.7]
     assert recover_camera(view_of(px), px, SIZE, sigma_px=0.5).misfit < 1.0
@@ -156,7 +154,7 @@ def test_coordinates_that_are_not_to_scale_fit_no_camera():
 
 
 @pytest.mark.parametrize("lens", [None, Lens(900.0, 910.0, 310.0, 250.0, 0.0)])
-def test_the_jacobian_of_its_residuals_meets_central_differences(lens):
+def test_the_residual_jacobian_agrees_with_central_differences(lens):
     px = SimulatedRig(WIDE).reference_points_px[0]
     problem = _Problem(SQUARE, px, 0.5, np.array([319.5, 239.5]), 700.0, 12.8, lens)
     start = problem.starts(view_of(px).image_from_plane)[0]
@@ -167,7 +165,7 @@ def test_the_jacobian_of_its_residuals_meets_central_differences(lens):
         step = h * np.eye(count)[k]
         ahead, _ = problem.residuals(problem.stepped(state, step))
         behind, _ = problem.residuals(problem.stepped(state, -step))
-        # Residuals are measured minus modelled, the Jacobian is the model's.
+        # Residuals are measured minus modelled; the Jacobian is that of the model.
         slope = -(ahead - behind) / (2 * h)
         assert jacobian[:, k] == pytest.approx(slope, rel=1e-5, abs=1e-4)
 
@@ -176,7 +174,7 @@ def test_the_jacobian_of_its_residuals_meets_central_differences(lens):
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_azimuth_0_points_towards_the_cameras_and_grows_anticlockwise(mirrored):
+def test_azimuth_0_points_towards_the_cameras_and_increases_anticlockwise(mirrored):
     rig = SimulatedRig(PAPER)
     plane = SQUARE[:, ::-1] if mirrored else SQUARE
     cameras = [
@@ -214,7 +212,7 @@ def test_expected_poses_fill_workspace_and_limits_evenly():
     assert np.linalg.norm(poses.direction, axis=1) == pytest.approx(np.ones(len(poses)))
 
 
-def test_a_workspace_need_not_be_a_square():
+def test_a_workspace_may_be_any_quadrilateral():
     triangle_like = np.array([[0.0, 0.0], [400.0, 0.0], [210.0, 400.0], [190.0, 400.0]])
     _, cameras = recovered(PAPER)
     workspace = Workspace.between(triangle_like, cameras)
@@ -229,8 +227,8 @@ def test_a_workspace_need_not_be_a_square():
 
 
 @pytest.mark.parametrize("placement", [PAPER, WIDE, LOW], ids=["paper", "wide", "low"])
-def test_the_forecast_is_the_bound_of_the_simulated_rig(placement):
-    """From homographies alone, what the bound knows from cameras, outlines and pictures."""
+def test_the_prediction_equals_the_bound_of_the_simulated_rig(placement):
+    """The prediction uses homographies only, the bound true cameras and outlines."""
     rod = RodAndProng(prong_length_mm=0)
     rig, cameras = recovered(placement)
     sampler, rng = PoseSampler(rig), np.random.default_rng(SEED)
@@ -245,10 +243,10 @@ def test_the_forecast_is_the_bound_of_the_simulated_rig(placement):
     forecast = predict(poses, cameras, SQUARE, options, 1.0)
     exact = [view_of(px, sigma_px=0.1) for px in rig.reference_points_px]
     information = edge_information(80, 2, 1)
-    told = 0
+    compared = 0
     for k, pose in enumerate(drawn):
         if forecast.doubt[k] is not None:
-            assert forecast.doubt[k] is Doubt.OUT_OF_VIEW  # its border is the widest finger's
+            assert forecast.doubt[k] is Doubt.OUT_OF_VIEW  # with a border for the widest finger
             continue
         bounds = [
             line_bound(camera, rod.body, pose, finger_truth(camera, rod.body, pose), information)
@@ -256,11 +254,11 @@ def test_the_forecast_is_the_bound_of_the_simulated_rig(placement):
         ]
         bound = point_bound(exact, bounds)
         assert np.trace(forecast.covariance[k]) == pytest.approx(np.trace(bound), rel=0.02)
-        told += 1
-    assert told > 20
+        compared += 1
+    assert compared > 20
 
 
-def test_the_radius_of_errors_is_that_of_draws():
+def test_the_error_radius_is_the_quantile_of_drawn_errors():
     rng = np.random.default_rng(SEED)
     covariance = np.array([[[4.0, 1.5], [1.5, 1.0]], [[0.1, 0.0], [0.0, 9.0]]])
     errors = [np.hypot(*rng.multivariate_normal([0, 0], each, 200_000).T) for each in covariance]
@@ -301,12 +299,12 @@ def one_pose():
         (0.0, 45.0, 100.0, {"length_mm": 12.0, "diameter_mm": 4.0}, Doubt.TOO_SHORT),
     ],
 )
-def test_a_pose_without_a_point_says_why(one_pose, azimuth, slant, hover, options, doubt):
+def test_a_pose_without_a_point_has_a_reason(one_pose, azimuth, slant, hover, options, doubt):
     assert one_pose(azimuth, slant, hover, **options).doubt[0] is doubt
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 3.0, 180.0, -180.0])
-def test_one_direction_of_pointing_is_judged_by_its_sector(azimuth):
+def test_a_single_azimuth_is_judged_by_its_sector(azimuth):
     options = AdviceOptions(poses=PoseLimits(azimuth_deg=(azimuth, azimuth)), **BRIEF)
     advice = advise(rig_of(PAPER), [SIZE] * 2, options)
     assert advice.expected.poses > 0
@@ -316,7 +314,7 @@ def test_one_direction_of_pointing_is_judged_by_its_sector(azimuth):
 
 
 @pytest.mark.parametrize("azimuth", [(-60.0, 60.0), (-180.0, 180.0), (20.0, 50.0)])
-def test_a_range_of_directions_is_what_it_says(azimuth):
+def test_expected_directions_are_those_in_the_azimuth_range(azimuth):
     low, high = azimuth
     options = AdviceOptions(poses=PoseLimits(azimuth_deg=azimuth), **BRIEF)
     advice = advise(rig_of(PAPER), [SIZE] * 2, options)
@@ -324,7 +322,7 @@ def test_a_range_of_directions_is_what_it_says(azimuth):
         assert direction.expected == (low <= direction.azimuth_deg <= high)
 
 
-def test_more_of_any_error_means_more_error(one_pose):
+def test_the_predicted_error_increases_with_every_error_source(one_pose):
     def error(**options):
         return one_pose(30.0, 45.0, **options).figures().rms
 
@@ -339,7 +337,7 @@ def test_more_of_any_error_means_more_error(one_pose):
 # --- moves and advice ------------------------------------------------------------------------
 
 
-def test_turning_a_camera_keeps_what_it_looks_at():
+def test_a_moved_camera_keeps_the_workspace_centred():
     _, cameras = recovered(PAPER)
     workspace = Workspace.between(SQUARE, cameras)
     poses = Poses.expected(workspace, PoseLimits(), 1.0, 8)
@@ -374,7 +372,7 @@ def narrow():
     )
 
 
-def test_cameras_side_by_side_are_told_to_part(narrow):
+def test_cameras_side_by_side_are_advised_to_move_apart(narrow):
     assert {Concern.VERGENCE, Concern.COPLANAR} <= {flag.concern for flag in narrow.flags}
     move = narrow.recommended
     assert move is not None
@@ -384,8 +382,8 @@ def test_cameras_side_by_side_are_told_to_part(narrow):
     assert "constraint lines meet at" in narrow.recommendation
 
 
-def test_the_move_is_worth_what_is_promised(narrow):
-    """A rig whose camera stands where the advice says is predicted to be as good as promised."""
+def test_a_recommended_move_gives_the_predicted_improvement(narrow):
+    """Advice on the rig after the move predicts the error that was predicted for the move."""
     move = narrow.recommended
     azimuths = [-5.0, 5.0]
     azimuths[move.view] += move.amount
@@ -410,7 +408,7 @@ def test_pointing_away_from_the_cameras_is_hopeless():
     assert not ahead.hopeless
 
 
-def test_cameras_in_one_place_are_told_so_without_a_number_for_their_error():
+def test_coincident_cameras_are_reported_without_an_error_figure():
     advice = advise(rig_of(Placement(azimuths_deg=(-0.3, 0.3))), [SIZE] * 2, AdviceOptions(**BRIEF))
     assert advice.expected.hopeless == 1.0
     assert advice.as_dict()["expected"]["rms"] is None
@@ -418,17 +416,17 @@ def test_cameras_in_one_place_are_told_so_without_a_number_for_their_error():
     assert "nan" not in "\n".join(advice.table())
 
 
-def test_hands_that_no_image_holds_are_no_reason_to_leave_the_cameras():
+def test_no_move_is_recommended_for_hands_outside_every_image():
     options = AdviceOptions(**BRIEF, poses=PoseLimits(hover_mm=(900.0, 1000.0)))
     advice = advise(rig_of(PAPER), [SIZE] * 2, options)
     assert advice.expected.in_view == 0.0
     assert advice.recommendation.startswith("no move of one camera alone is enough")
 
 
-def test_parts_of_the_error_sum_to_all_of_it():
+def test_error_shares_sum_to_one():
     advice = advise(rig_of(PAPER), [SIZE] * 2, AdviceOptions(**BRIEF))
     assert sum(advice.shares.values()) == pytest.approx(1.0)
-    assert advice.shares["bias"] > 0.5  # of a bare hand
+    assert advice.shares["bias"] > 0.5  # the default options are those of a bare hand
     rod = advise(
         rig_of(PAPER),
         [SIZE] * 2,
@@ -438,14 +436,14 @@ def test_parts_of_the_error_sum_to_all_of_it():
     assert Concern.REFERENCE_ERROR in {flag.concern for flag in rod.flags}
 
 
-def test_units_are_lengths():
+def test_results_scale_with_the_unit():
     options = AdviceOptions(**BRIEF)
     in_mm = advise(rig_of(PAPER), [SIZE] * 2, options).expected.rms
     in_m = advise(rig_of(PAPER, unit="m", plane=SQUARE / 1000.0), [SIZE] * 2, options).expected.rms
     assert in_m == pytest.approx(in_mm / 1000.0, rel=1e-3)
 
 
-def test_weak_reference_points_are_told_from_strong_ones():
+def test_weak_reference_points_are_distinguished_from_strong_ones():
     px = SimulatedRig(PAPER).reference_points_px[0]
     strong = reference_weakness(view_of(px), 0.5, SQUARE)
     plane = np.array([[0.0, 0.0], [400.0, 0.0], [400.0, 30.0], [190.0, 25.0]])
@@ -470,7 +468,7 @@ def test_rigs_that_cannot_be_judged_are_refused(rig, sizes, words):
         advise(rig, sizes)
 
 
-def test_views_of_two_sides_are_refused():
+def test_views_of_opposite_orientation_are_refused():
     simulated = rig_of(PAPER)
     flipped = View(
         name="right",
@@ -504,8 +502,8 @@ def test_options_out_of_range_are_refused(wrong):
         AdviceOptions(**wrong)
 
 
-def test_the_prediction_meets_the_experiment():
-    """What the tracker reaches on pictures, against what is predicted from homographies alone."""
+def test_the_prediction_agrees_with_the_experiment():
+    """Compare the tracker's error on rendered images with the prediction from homographies."""
     advice = advise(
         rig_of(PAPER),
         [SIZE] * 2,
@@ -525,17 +523,17 @@ def test_the_command_prints_json_and_draws_a_picture(tmp_path):
     arguments += ["--azimuth", "-60", "60", "--draw", str(picture)]
     done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
-    assert len(told["directions"]) == 36
-    assert sum(direction["expected"] for direction in told["directions"]) == 13
-    assert told["moves"][0]["typical_error"] <= told["moves"][-1]["typical_error"]
-    assert [view["name"] for view in told["views"]] == ["left", "right"]
+    printed = json.loads(done.stdout)
+    assert len(printed["directions"]) == 36
+    assert sum(direction["expected"] for direction in printed["directions"]) == 13
+    assert printed["moves"][0]["typical_error"] <= printed["moves"][-1]["typical_error"]
+    assert [view["name"] for view in printed["views"]] == ["left", "right"]
     image = cv2.imread(str(picture))
     assert image.shape[1] == 1728
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 50
 
 
-def test_the_table_holds_map_directions_moves_and_advice(narrow):
+def test_the_table_lists_the_moves_and_ends_with_the_advice(narrow):
     lines = narrow.table()
     assert sum(line.lstrip().startswith(("+", "-")) for line in lines) >= 35
     assert any("as they stand" in line for line in lines)

@@ -1,6 +1,6 @@
-"""Imports run one way: the rules of ARCHITECTURE, as data, and the checks that hold them.
+"""Imports run one way: the rules of ARCHITECTURE, as data, and their checks.
 
-A module that stands in no table fails: whoever adds one says where it belongs.
+A module that is in no table fails: a new one must be assigned to a group.
 """
 
 import ast
@@ -27,8 +27,8 @@ from house import (
 
 # --- the rules -------------------------------------------------------------------------------
 
-# Every module or subpackage of python/fingerpost, and the group it belongs to. A subpackage's own
-# modules import each other as they like.
+# Group of every module and subpackage of python/fingerpost. Modules inside a subpackage may import
+# each other freely.
 PYTHON_GROUPS = {
     "errors": "errors",
     "checks": "checks",
@@ -89,8 +89,8 @@ _EDGES = {"references", "capture", "simulate", "recording", "robot", "publishing
 _FORMATS = {"mcap_file", "zenoh_link"}
 _PIPELINE = _POINTING | _EDGES | _FORMATS | {"config", "pipeline"}
 
-# What each group may import of the others. The edges never import each other, and nobody but the
-# command line itself imports it.
+# Other groups that each group may import. The edges never import each other, and only the command
+# line's own modules import it.
 PYTHON_RULES = {
     "errors": set(),
     "checks": {"errors"},
@@ -107,7 +107,7 @@ PYTHON_RULES = {
     "front": _PIPELINE | {"application"},
 }
 
-# Packages from outside the standard library that a group may use at all; others are free.
+# The only third-party packages that these groups may use; other groups may use any.
 THIRD_PARTY_RULES = {
     "errors": set(),
     "checks": {"numpy"},
@@ -115,9 +115,9 @@ THIRD_PARTY_RULES = {
     "pointing": {"numpy"},
 }
 
-# What each room of fingerpost-core may import of the others: shapes never see a pixel, pixels never
-# see a shape, and the fit sees measurements alone. Inside a room files import each other without
-# circles. Arithmetic is nobody's business but its own.
+# Other rooms that each room of fingerpost-core may import: `geometry` does not know images, `image`
+# no shapes, and `solve` measurements only. Imports inside a room have no circles. `numeric` is
+# independent.
 RUST_RULES = {
     "error": set(),
     "numeric": set(),
@@ -132,17 +132,17 @@ RUST_RULES = {
     "track": {"error", "geometry", "image", "appearance", "measure", "solve", "axis", "numeric"},
 }
 
-# What the core must do without, so that it can be embedded anywhere.
+# Packages that the core must not depend on, so that it can be embedded anywhere.
 FOREIGN_TO_THE_CORE = {"pyo3", "numpy"}
 
-# --- where things are ------------------------------------------------------------------------
+# --- modules and their imports ---------------------------------------------------------------
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "python" / "fingerpost"
 
 
 def python_modules() -> dict[str, Path]:
-    """Dotted name below `fingerpost` and file of every module; the front is `__init__`."""
+    """Return the file of every module by its dotted name below `fingerpost`, and `__init__`."""
     modules = {}
     for path in sorted([*PACKAGE.rglob("*.py"), *PACKAGE.glob("*.pyi")]):
         parts = path.relative_to(PACKAGE).with_suffix("").parts
@@ -151,7 +151,7 @@ def python_modules() -> dict[str, Path]:
 
 
 def imported(source: str, module: str, *, is_package: bool) -> Iterator[str]:
-    """Absolute names that a module imports: modules, or names in modules."""
+    """Yield the absolute names that a module imports: modules, or names in modules."""
     package = f"fingerpost.{module}".removesuffix(".__init__").split(".")
     if not is_package:
         package.pop()
@@ -165,19 +165,19 @@ def imported(source: str, module: str, *, is_package: bool) -> Iterator[str]:
 
 
 def python_imports() -> Iterator[tuple[str, str]]:
-    """Every pair of a module and a name that it imports."""
+    """Yield every pair of a module and a name that it imports."""
     for module, path in python_modules().items():
         for name in imported(path.read_text(), module, is_package=path.stem == "__init__"):
             yield module, name
 
 
 def group_of(name: str) -> str:
-    """Group of a dotted name of this project; a name that is no module belongs to the front."""
+    """Return the group of a dotted name of this project; names that are no module are `front`."""
     return PYTHON_GROUPS.get((name + ".").split(".")[1], "front")
 
 
 def may_import(module: str, name: str) -> bool:
-    """Tell whether the rules let a module of this project import a name."""
+    """Return whether the rules let a module of this project import a name."""
     if name.partition(".")[0] != "fingerpost":
         return True
     same_package = module.split(".")[1] == (name + ".").split(".")[1]
@@ -187,7 +187,7 @@ def may_import(module: str, name: str) -> bool:
 # --- the checks ------------------------------------------------------------------------------
 
 
-def test_every_python_module_has_its_place():
+def test_every_python_module_has_a_group():
     tops = {name.partition(".")[0] for name in python_modules()}
     assert tops - set(PYTHON_GROUPS) == set(), "say in PYTHON_GROUPS where it belongs"
     assert set(PYTHON_GROUPS) - tops == set(), "PYTHON_GROUPS names a module that does not exist"
@@ -203,7 +203,7 @@ def test_python_imports_run_one_way():
     assert wrong == []
 
 
-def test_geometry_needs_numpy_alone():
+def test_geometry_needs_numpy_only():
     at_home = {"fingerpost", *sys.stdlib_module_names}
     for module, name in python_imports():
         group = group_of(f"fingerpost.{module}")
@@ -228,13 +228,13 @@ def test_no_files_of_the_core_import_each_other():
     assert circles(rust_imports(rust_files())) == []
 
 
-def test_names_are_the_fields_and_stand_for_one_thing():
+def test_names_are_terms_of_the_field_and_unique():
     assert private_names() == []
     assert retired_words() == []
     assert [name for name, count in type_names().items() if count > 1] == []
 
 
-def test_the_crate_shows_what_an_embedder_needs_and_no_room():
+def test_the_crate_exports_names_at_its_root_and_hides_its_rooms():
     assert 40 <= len(public_items()) <= 80
     assert len(set(public_items())) == len(public_items())
     crate = (CORE / "lib.rs").read_text(encoding="utf-8")
@@ -243,7 +243,7 @@ def test_the_crate_shows_what_an_embedder_needs_and_no_room():
     assert [room for hidden, room in shown if not hidden] == []
 
 
-def test_the_crate_carries_the_licence_of_the_project():
+def test_the_crate_contains_the_licence_of_the_project():
     licences = [(folder / "LICENSE").read_text(encoding="utf-8") for folder in (ROOT, CORE.parent)]
     assert licences[0] == licences[1]
 
@@ -256,7 +256,7 @@ def test_files_and_functions_of_the_core_are_short():
     assert sorted(length for length, _ in lengths)[len(lengths) // 2] <= 8
 
 
-def test_the_core_depends_on_no_python():
+def test_the_core_does_not_depend_on_python():
     cargo = shutil.which("cargo")
     if cargo is None:
         pytest.skip("needs cargo")
@@ -284,7 +284,7 @@ def test_the_core_depends_on_no_python():
         ("from .live import x", {"fingerpost.capture.live.x"}),
     ],
 )
-def test_python_imports_are_seen(source, names):
+def test_python_imports_are_parsed(source, names):
     assert set(imported(source, "capture.views", is_package=False)) == names
     assert set(imported(source, "capture", is_package=True)) == names
 
@@ -303,7 +303,7 @@ def test_python_imports_are_seen(source, names):
         ("cli", "__version__", True),
     ],
 )
-def test_the_rules_decide(module, name, allowed):
+def test_the_rules_allow_and_refuse_imports(module, name, allowed):
     assert may_import(f"fingerpost.{module}", f"fingerpost.{name}") is allowed
     assert may_import(f"fingerpost.{module}", "numpy.typing")
 
@@ -319,10 +319,10 @@ def test_the_rules_decide(module, name, allowed):
         ("use crate::{\n    fit,\n    b::{C},\n};", ["crate::fit", "crate::b::C"]),
     ],
 )
-def test_rust_imports_are_seen(source, paths):
+def test_rust_paths_are_parsed(source, paths):
     assert ["::".join(path) for path in rust_paths(source)] == paths
 
 
-def test_circles_are_seen():
+def test_circles_are_detected():
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"a", "d"}, "d": set()}) == [["a", "b", "c"]]
     assert circles({"a": {"b"}, "b": set()}) == []

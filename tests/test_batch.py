@@ -1,4 +1,4 @@
-"""Many recordings at once: all are done, once; what fails is listed and stops nothing."""
+"""Batches of recordings: each is processed once; failures are listed and stop no others."""
 
 import csv
 import os
@@ -46,7 +46,7 @@ def rigs(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def recorded(rigs, tmp_path_factory):
-    """A folder with a recording, one that was cut, and a rig whose pictures are elsewhere."""
+    """A folder with a recording, a truncated one, and a rig whose pictures are missing."""
     folder = tmp_path_factory.mktemp("recorded")
     recording, points = folder / "r.mcap", folder / "p.csv"
     assert invoked("run", rigs / "a.toml", "--record", recording, "--points", points).exit_code == 0
@@ -60,7 +60,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_a_batch_gives_what_each_run_gives_and_lists_what_fails(rigs, recorded, tmp_path):
+def test_a_batch_gives_the_results_of_single_runs_and_lists_failures(rigs, recorded, tmp_path):
     points, out = recorded / "p.csv", tmp_path / "out"
     others = [recorded / name for name in ("r.mcap", "cut.mcap", "bad.toml")]
     done = invoked("batch", rigs / "*.toml", *others, "--out", out)
@@ -81,14 +81,14 @@ def test_a_batch_gives_what_each_run_gives_and_lists_what_fails(rigs, recorded, 
     assert not list(out.glob("*.part"))
 
 
-def test_what_is_done_is_not_done_again(rigs, tmp_path):
+def test_finished_recordings_are_not_processed_again(rigs, tmp_path):
     (tmp_path / "a").mkdir()
     todo = tasks([str(rigs / "a.toml"), str(rigs / "b.toml")], {"model": "ribbon"})
     first = run_batch(todo[:1], tmp_path)
     written = (tmp_path / "a" / "points.csv").stat().st_mtime_ns
-    told = []
-    both = run_batch(todo, tmp_path, workers=1, tell=lambda done, of: told.append((done, of)))
-    assert told == [(1, 2), (2, 2)]
+    reported = []
+    both = run_batch(todo, tmp_path, workers=1, report=lambda done, of: reported.append((done, of)))
+    assert reported == [(1, 2), (2, 2)]
     assert both[0] == first[0]
     assert (tmp_path / "a" / "points.csv").stat().st_mtime_ns == written
     (other,) = run_batch(tasks([str(rigs / "a.toml")], {"model": "paper"}), tmp_path)
@@ -96,7 +96,7 @@ def test_what_is_done_is_not_done_again(rigs, tmp_path):
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
-def test_a_worker_that_is_killed_costs_nothing(rigs, tmp_path):
+def test_all_recordings_are_processed_though_a_worker_is_killed(rigs, tmp_path):
     todo = tasks([str(rigs / "*.toml")], {})
     outcomes = []
     thread = threading.Thread(target=lambda: outcomes.extend(run_batch(todo, tmp_path, workers=1)))
@@ -124,7 +124,7 @@ HIDING = (
 
 @pytest.fixture
 def cluster():
-    """What starts a scheduler of Dask and workers, as separate processes; gives its address."""
+    """Function that starts a Dask scheduler and workers as processes; returns address, workers."""
     running = []
 
     def started(*words: str, before: str = "") -> subprocess.Popen:
@@ -164,15 +164,15 @@ def test_a_cluster_gives_the_same_files_though_a_worker_dies(rigs, recorded, clu
     address, workers = cluster(2)
     with cluster_at(address) as there:
         there._client.wait_for_workers(2)
-        told = []
+        reported = []
 
-        def tell(done: int, _of: int) -> None:
-            told.append(done)
+        def report(done: int, _of: int) -> None:
+            reported.append(done)
             if done == 1:
                 workers[0].kill()
 
-        outcomes = run_batch(todo, tmp_path / "there", cluster=there, tell=tell)
-    assert told == list(range(4))
+        outcomes = run_batch(todo, tmp_path / "there", cluster=there, report=report)
+    assert reported == list(range(4))
     reasons = {one.task.name: one.reason for one in outcomes if one.reason}
     assert set(reasons) == {"bad"}
     assert "no file matches" in reasons["bad"]
@@ -182,7 +182,7 @@ def test_a_cluster_gives_the_same_files_though_a_worker_dies(rigs, recorded, clu
     assert {Path(name).parts[0] for name in found} == {"a", "cut"}
 
 
-def test_a_local_cluster_works_on_this_machine_alone():
+def test_a_local_cluster_listens_on_this_machine_only():
     with cluster_at("local:1") as there:
         assert list(there.each(abs, [-3])) == [(-3, 3, "")]
         (worker,) = there._client.scheduler_info(n_workers=-1)["workers"]
@@ -199,14 +199,14 @@ def refused(rigs: Path, folder: Path, address: str) -> str:
     return line
 
 
-def test_a_scheduler_without_fingerpost_is_one_line(rigs, cluster, tmp_path):
+def test_a_scheduler_without_fingerpost_is_refused_in_one_line(rigs, cluster, tmp_path):
     address, _ = cluster(0, before=HIDING)
     said = refused(rigs, tmp_path, address)
     assert "the scheduler cannot import fingerpost (No module named 'fingerpost')" in said
     assert "pip install 'fingerpost[cluster]==" in said
 
 
-def test_workers_of_several_threads_are_one_line(rigs, tmp_path):
+def test_workers_of_several_threads_are_refused_in_one_line(rigs, tmp_path):
     given = {"host": "127.0.0.1", "protocol": "tcp", "dashboard_address": None}
     with LocalCluster(n_workers=1, threads_per_worker=2, processes=False, **given) as there:
         said = refused(rigs, tmp_path, there.scheduler_address)
@@ -221,7 +221,7 @@ def test_workers_of_several_threads_are_one_line(rigs, tmp_path):
         (["--dask", "tcp://127.0.0.1:1"], 1, "no scheduler answers there"),
     ],
 )
-def test_an_address_that_is_no_clusters_is_one_line(
+def test_an_invalid_cluster_address_is_refused_in_one_line(
     rigs, tmp_path, monkeypatch, arguments, code, said
 ):
     monkeypatch.setattr("fingerpost.cluster._ANSWERS_S", 0.5)
@@ -233,7 +233,7 @@ def test_an_address_that_is_no_clusters_is_one_line(
 # --- names and pictures -----------------------------------------------------------------------
 
 
-def test_names_tell_files_of_one_name_apart(tmp_path):
+def test_files_of_one_name_get_different_task_names(tmp_path):
     for folder in ("x", "y"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "rig.toml").touch()
@@ -243,7 +243,7 @@ def test_names_tell_files_of_one_name_apart(tmp_path):
         tasks([str(tmp_path / "*.csv")], {})
 
 
-def test_bars_are_as_long_as_their_shares():
+def test_the_bars_are_proportional_to_their_shares():
     picture = draw_shares([("a", {"ok": 3, "lost": 1}, ""), ("b", {}, "is broken")])
     row = picture[20 + 26 + 8]
     assert (row == STATUSES["ok"]).all(axis=1).sum() == pytest.approx(390, abs=2)

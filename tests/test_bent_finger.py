@@ -1,6 +1,6 @@
-"""A finger that bends is reported, not fitted.
+"""A bent finger is reported as such and not fitted.
 
-`benches/photographs.py` shows it of a real one.
+`benches/photographs.py` shows this for a real finger.
 """
 
 import math
@@ -23,7 +23,7 @@ BENDING_FRAMES = 12
 
 @dataclass(frozen=True)
 class Seen:
-    """What a view showed in a frame, and what its tracker made of it."""
+    """True bend and tip direction of the finger in a frame, and the tracker's result."""
 
     bend_rad: float
     angle_rad: float
@@ -31,7 +31,7 @@ class Seen:
 
 
 def directions(camera: Camera, hand: Hand, pose: DevicePose) -> tuple[float, float]:
-    """Direction in the image of the finger's part with the knuckle, and of that with the tip."""
+    """Image directions of the finger's first segment, from the knuckle, and of its last."""
     links, world_from_device = hand.body.links, pose.world_from_device
     last = links[hand.body.finger]
     first = next((link for link in links if link.end_mm == last.start_mm), last)
@@ -49,7 +49,7 @@ def turn(a: float, b: float) -> float:
 
 
 def bending(thumb: str, most_deg: float, rig: SimulatedRig, view: int) -> Iterator[Seen]:
-    """Straight, then bending to `most_deg`, held, and straight again."""
+    """Yield frames of a finger that is straight, bends to `most_deg`, and is straight again."""
     ramp = np.linspace(0.0, most_deg, BENDING_FRAMES)
     still = np.zeros(STRAIGHT_FRAMES)
     held = np.full(6, most_deg)
@@ -70,20 +70,20 @@ def bending(thumb: str, most_deg: float, rig: SimulatedRig, view: int) -> Iterat
 
 @pytest.mark.parametrize("thumb", ["up", "folded"])
 @pytest.mark.parametrize("view", [0, 1])
-def test_a_finger_that_bends_has_no_line_until_it_is_straight_again(thumb, view):
+def test_a_bent_finger_has_no_line_until_it_is_straight_again(thumb, view):
     seen = list(bending(thumb, 60.0, SimulatedRig(), view))
     assert max(abs(s.bend_rad) for s in seen) > math.radians(35)
     for k, s in enumerate(seen[4:], 4):
-        told, bend_deg = s.track.diagnostics, abs(math.degrees(s.bend_rad))
+        result, bend_deg = s.track.diagnostics, abs(math.degrees(s.bend_rad))
         if bend_deg < 10:
-            assert s.track.finger_line is not None, (k, bend_deg, told)
+            assert s.track.finger_line is not None, (k, bend_deg, result)
         if bend_deg < 1:
             assert abs(turn(s.angle_rad, s.track.finger_line.angle_rad)) < 0.02, k
         if bend_deg > 25:
             assert s.track.finger_line is None, (k, bend_deg)
-            assert told.refusal == "misfit", (k, bend_deg, told)
-        if told.bend_rad is not None:
-            assert told.bend_rad == pytest.approx(s.bend_rad, abs=math.radians(8)), k
+            assert result.refusal == "misfit", (k, bend_deg, result)
+        if result.bend_rad is not None:
+            assert result.bend_rad == pytest.approx(s.bend_rad, abs=math.radians(8)), k
     assert all(s.track.status == "tracking" for s in seen[4:])
 
 
@@ -112,8 +112,8 @@ def test_a_straight_finger_is_no_misfit(clutter, taper):
                 assert track.finger_line is not None
 
 
-def test_a_bend_along_the_line_of_sight_does_not_show():
-    # Towards the camera, or away from it: the finger only gets shorter.
+def test_a_bend_along_the_viewing_direction_is_invisible():
+    # Towards the camera, or away from it, the finger only appears shorter.
     rig = SimulatedRig()
     pose = DevicePose.pointing_at((200, 200), hover_mm=120, slant_deg=40, roll_deg=-90)
     shown = [

@@ -1,4 +1,4 @@
-"""Cameras: what they are asked for, how pictures are turned, raw pipes, which cameras there are."""
+"""Cameras: their settings, rotated and cropped pictures, raw pipes, and the list of cameras."""
 
 import errno
 import os
@@ -52,7 +52,7 @@ def loaded(folder: Path, *lines: str, source: str = "0") -> fp.Rig:
 
 
 class Webcam:
-    """What a driver makes of what it is asked: the nearest that there is, and silence."""
+    """A camera whose driver takes the nearest supported value without an error."""
 
     SIZES = ((640, 480), (1280, 720))
     AUTO: ClassVar = {
@@ -83,7 +83,7 @@ class Webcam:
             return False
         automatic = self.AUTO.get(prop)
         if automatic and self.values[automatic[0]] != automatic[1]:
-            return True  # V4L2 takes it, and the automatic goes on
+            return True  # V4L2 accepts it, but the automatic control stays on
         if prop == cv2.CAP_PROP_FPS:
             value = 30.0
         self.values[prop] = value
@@ -110,18 +110,18 @@ class Webcam:
         pass
 
 
-def test_a_camera_that_does_as_it_is_told_has_no_differences():
+def test_a_camera_that_applies_its_settings_has_no_differences():
     camera = Webcam()
     settings = CameraSettings(1280, 720, 30, "YUYV", exposure=80, white_balance_k=5000)
     assert settings.apply(camera) == []
     assert camera.values[cv2.CAP_PROP_EXPOSURE] == 80
     assert camera.values[cv2.CAP_PROP_WB_TEMPERATURE] == 5000
-    # Sizes and rates are those of a way of sending.
+    # The pixel format is set first: sizes and rates depend on it.
     order = [cv2.CAP_PROP_FOURCC, cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FPS]
     assert [prop for prop in camera.asked if prop in order] == order
 
 
-def test_what_a_camera_makes_of_its_settings_is_read_back_and_told():
+def test_settings_are_read_back_and_differences_reported():
     assert CameraSettings(1920, 1080, fps=60, focus=10, gain=4).apply(Webcam()) == [
         "width is 1280, 1920 was asked for",
         "height is 720, 1080 was asked for",
@@ -131,14 +131,14 @@ def test_what_a_camera_makes_of_its_settings_is_read_back_and_told():
     ]
 
 
-def test_another_way_of_sending_is_told_in_letters():
+def test_another_pixel_format_is_reported_by_its_fourcc():
     camera = Webcam()
     camera.set = lambda *_: True
-    told = CameraSettings(fourcc="YUYV").apply(camera)
-    assert told == ["fourcc is MJPG, YUYV was asked for"]
+    differences = CameraSettings(fourcc="YUYV").apply(camera)
+    assert differences == ["fourcc is MJPG, YUYV was asked for"]
 
 
-def test_differences_are_said_once_and_noted(caplog):
+def test_differences_are_logged_once_and_kept_as_notes(caplog):
     camera = CameraSettings(1920, 1080)
     with LiveSource(
         3,
@@ -156,7 +156,7 @@ def test_differences_are_said_once_and_noted(caplog):
     assert sorted(said) == [f"camera 3: {note}" for note in sorted(source.notes)]
 
 
-def test_the_keys_of_a_rig_are_what_a_camera_is_asked_for(tmp_path):
+def test_keys_of_a_rig_become_camera_settings_and_arrangement(tmp_path):
     line = 'camera = { width = 1280, height = 720, fps = 30, fourcc = "YUYV", exposure = -6 }'
     rig = loaded(tmp_path, line, "rotate_deg = 90", "mirror = true", "crop = [0, 40, 640, 400]")
     assert rig.readings == (
@@ -181,24 +181,24 @@ def test_the_keys_of_a_rig_are_what_a_camera_is_asked_for(tmp_path):
         ('camera = { fourcc = "JPEG!" }', 'fourcc is "JPEG!"; needed: four letters in quotes'),
     ],
 )
-def test_settings_that_cannot_be_are_refused_by_name(tmp_path, line, words):
+def test_invalid_settings_are_refused_by_name(tmp_path, line, words):
     with pytest.raises(InvalidInputError) as raised:
         loaded(tmp_path, line)
     assert words in str(raised.value)
 
 
 @pytest.mark.parametrize("source", ["a.png", "http://127.0.0.1:1/stream"])
-def test_what_is_no_camera_is_asked_for_nothing(tmp_path, monkeypatch, source):
+def test_settings_for_a_source_without_a_camera_are_refused(tmp_path, monkeypatch, source):
     monkeypatch.chdir(tmp_path)
     cv2.imwrite("a.png", np.zeros((8, 8), np.uint8))
     with pytest.raises(InvalidInputError, match="is for cameras and pipes"):
         open_source(source, camera=CameraSettings(width=640))
 
 
-# --- pictures that are turned -----------------------------------------------------------------
+# --- rotated, mirrored and cropped pictures ---------------------------------------------------
 
 
-def test_pictures_are_turned_clockwise_then_mirrored_then_cropped():
+def test_pictures_are_rotated_clockwise_then_mirrored_then_cropped():
     picture = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
     turned = cv2.rotate(picture, cv2.ROTATE_90_CLOCKWISE)
     found = Arrangement(90, mirror=True, crop=(1, 2, 2, 3)).of(picture)
@@ -215,7 +215,7 @@ UNDONE = {
 
 
 @pytest.mark.parametrize(("turn", "line"), UNDONE.values(), ids=UNDONE.keys())
-def test_a_camera_that_is_mounted_askew_gives_the_same_points(tmp_path, turn, line):
+def test_a_rotated_or_mirrored_camera_gives_the_same_points(tmp_path, turn, line):
     pose = DevicePose.pointing_at((200.0, 200.0), azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0)
     rig_file = write_recording(
         tmp_path, SimulatedRig(), Trajectory.hold(pose, 1.0), frames=7, rng=4
@@ -231,7 +231,7 @@ def test_a_camera_that_is_mounted_askew_gives_the_same_points(tmp_path, turn, li
     askew_fixes = list(fp.track(rig))
     assert straight[-1].status is fp.Status.OK
     assert [f.point.tolist() for f in askew_fixes[-2:]] == [f.point.tolist() for f in straight[-2:]]
-    # Pushed images are what the camera gives, and turned alike.
+    # Pushed images are as the camera gives them, and are rotated in the same way.
     with open_views(rig.sources) as sources:
         pointer = fp.Pointer(rig)
         for seen in zip(*sources, strict=True):
@@ -255,7 +255,7 @@ def test_a_crop_beyond_the_picture_is_refused_with_its_size(tmp_path):
 
 
 def gradient(number: int = 0) -> np.ndarray:
-    """A picture of soft colours, which chroma at half the resolution shows as well."""
+    """A picture of smooth colours, which chroma at half the resolution preserves."""
     v, u = np.mgrid[:48, :64]
     planes = [60 + u + number, 90 + v, 200 - u - v]
     return np.stack(planes, axis=2).astype(np.uint8)
@@ -288,7 +288,7 @@ LAYOUTS = {
 
 
 def piped(data: bytes, known: RawFormat | None) -> list[np.ndarray]:
-    """Every frame of a pipe into which somebody writes bytes, and ends."""
+    """Return every frame of a pipe into which `data` is written."""
     reading, writing = os.pipe()
 
     def write() -> None:
@@ -310,7 +310,7 @@ def piped(data: bytes, known: RawFormat | None) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize(("fourcc", "written"), LAYOUTS.items())
-def test_raw_frames_are_read_as_they_were_written(fourcc, written):
+def test_raw_frames_are_read_as_written(fourcc, written):
     shown = [gradient(k) for k in range(3)]
     found = piped(b"".join(map(written, shown)), RawFormat(64, 48, fourcc))
     assert len(found) == 3
@@ -328,14 +328,14 @@ def y4m(*pictures: np.ndarray, parameters: str = "F25:1 Ip A1:1 C420jpeg XYSCSS=
     return f"YUV4MPEG2 W64 H48 {parameters}\n".encode() + b"".join(frames)
 
 
-def test_a_y4m_stream_says_its_size_itself():
+def test_a_y4m_stream_gives_its_own_size():
     found = piped(y4m(gradient(0), gradient(5)), None)
     assert len(found) == 2
     assert np.abs(found[1].astype(int) - gradient(5)).max() <= 6
 
 
 RUBBISH = {
-    "no size": (bytes(100), None, "raw frames do not tell their size; camera = { width = ...,"),
+    "no size": (bytes(100), None, "raw frames do not state their size; camera = { width = ...,"),
     "nothing": (b"", None, "nothing was written to it|it ended before the first frame"),
     "short": (bytes(100), RawFormat(64, 48, "BGR3"), "within the first frame, of 64 × 48 px in BG"),
     "pixels": (y4m(parameters="C422"), None, "have the pixels 422; -pix_fmt yuv420p is right"),
@@ -347,7 +347,7 @@ RUBBISH = {
 
 
 @pytest.mark.parametrize(("data", "known", "words"), RUBBISH.values(), ids=RUBBISH.keys())
-def test_what_is_no_stream_of_raw_frames_is_said(data, known, words):
+def test_an_invalid_raw_stream_is_refused_with_its_fault(data, known, words):
     with pytest.raises((CaptureError, InvalidInputError)) as raised:
         piped(data, known)
     assert any(part in str(raised.value) for part in words.split("|"))
@@ -361,7 +361,7 @@ def test_what_is_no_stream_of_raw_frames_is_said(data, known, words):
         (CameraSettings(640, 480, fourcc="MJPG"), "fourcc of raw frames is MJPG; BGR3, RGB3"),
     ],
 )
-def test_what_a_pipe_cannot_be_asked_for_is_refused_at_once(camera, words):
+def test_invalid_settings_of_a_pipe_are_refused_at_once(camera, words):
     with pytest.raises(InvalidInputError) as raised:
         open_source("-", camera=camera)
     assert words in str(raised.value)
@@ -390,11 +390,11 @@ def test_standard_input_is_a_live_view_that_ends_with_its_writer(raw):
     name, kind, *seen = done.stdout.decode().rsplit(maxsplit=done.stdout.count(b" ") - 1)
     assert (name, kind) == ("standard input", "LIVE")
     index, level = map(int, seen[-1].split(":"))
-    assert index == 39  # frames may be passed over, the newest is there
+    assert index == 39  # frames may be skipped, but not the newest
     assert abs(level - pictures[-1][0, 0, 0]) <= (0 if raw else 6)
 
 
-def test_raw_frames_come_through_a_named_pipe_as_well(tmp_path):
+def test_raw_frames_are_read_from_a_named_pipe(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     pictures = [gradient(k) for k in range(3)]
 
@@ -418,7 +418,7 @@ def test_raw_frames_come_through_a_named_pipe_as_well(tmp_path):
     writer.join()
 
 
-def test_two_views_do_not_share_standard_input(tmp_path):
+def test_two_views_cannot_share_standard_input(tmp_path):
     with (
         pytest.raises(InvalidInputError, match='views "a" and "b" both read -'),
         open_views({"a": "-", "b": "-"}),
@@ -427,7 +427,7 @@ def test_two_views_do_not_share_standard_input(tmp_path):
     assert loaded(tmp_path, source='"-"').views[0].source == "-"
 
 
-# --- which there are --------------------------------------------------------------------------
+# --- the list of cameras ----------------------------------------------------------------------
 
 MODES = {
     b"MJPG": {(1280, 720): [(1, 30), (1, 60)], (640, 480): [(1, 30)]},
@@ -435,33 +435,33 @@ MODES = {
 }
 
 
-def kernel(descriptor: int, request: int, told: bytearray) -> None:
-    """V4L2 of one webcam, by the layouts of videodev2.h; the second node has metadata alone."""
+def kernel(descriptor: int, request: int, data: bytearray) -> None:
+    """V4L2 of one webcam, by the layouts of videodev2.h; its second node has metadata only."""
     number, size = request & 0xFF, request >> 16 & 0x3FFF
-    assert size == len(told)
+    assert size == len(data)
     if number == 0:
         is_camera = Path(f"/proc/self/fd/{descriptor}").resolve().name == "video0"
-        struct.pack_into("=I", told, 84, 0x84A00001)  # of the whole device
-        struct.pack_into("=I", told, 88, 0x04200001 if is_camera else 0x04A00000)
+        struct.pack_into("=I", data, 84, 0x84A00001)  # of the whole device
+        struct.pack_into("=I", data, 88, 0x04200001 if is_camera else 0x04A00000)
         return
-    (index,) = struct.unpack_from("=I", told)
+    (index,) = struct.unpack_from("=I", data)
     try:
         if number == 2:
-            assert struct.unpack_from("=I", told, 4) == (1,)
-            told[44:48] = list(MODES)[index]
+            assert struct.unpack_from("=I", data, 4) == (1,)
+            data[44:48] = list(MODES)[index]
         elif number == 74:
-            struct.pack_into("=III", told, 8, 1, *list(MODES[bytes(told[4:8])])[index])
+            struct.pack_into("=III", data, 8, 1, *list(MODES[bytes(data[4:8])])[index])
         elif number == 75:
-            width, height = struct.unpack_from("=II", told, 8)
-            rates = MODES[bytes(told[4:8])][width, height]
-            struct.pack_into("=III", told, 16, 1, *rates[index])
+            width, height = struct.unpack_from("=II", data, 8)
+            rates = MODES[bytes(data[4:8])][width, height]
+            struct.pack_into("=III", data, 16, 1, *rates[index])
     except IndexError:
         raise OSError(errno.EINVAL, "Invalid argument") from None
 
 
 @pytest.fixture
 def machine(tmp_path: Path) -> tuple[Path, Path]:
-    """/sys and /dev of a machine with one webcam, a node of its metadata and another's camera."""
+    """/sys and /dev with a webcam, the node of its metadata, and a camera missing in /dev."""
     for name, title in (("video0", "HD Webcam"), ("video1", "HD Webcam"), ("video10", "Other")):
         (tmp_path / "sys" / name).mkdir(parents=True)
         (tmp_path / "sys" / name / "name").write_text(f"{title}\n")
@@ -475,7 +475,7 @@ needs_linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="V
 
 
 @needs_linux
-def test_the_kernel_tells_cameras_with_name_and_modes(machine):
+def test_cameras_are_listed_with_name_and_modes(machine):
     webcam, other = list_cameras(sys_folder=machine[0], dev_folder=machine[1], ioctl=kernel)
     assert (webcam.number, webcam.name, webcam.trouble) == (0, "HD Webcam", "")
     assert list(map(str, webcam.modes)) == [
@@ -486,7 +486,7 @@ def test_the_kernel_tells_cameras_with_name_and_modes(machine):
     assert (other.number, other.trouble) == (10, "cannot be opened: No such file or directory")
 
 
-def test_the_command_lists_cameras_and_writes_what_they_show(machine, tmp_path, monkeypatch):
+def test_the_command_lists_cameras_and_writes_their_pictures(machine, tmp_path, monkeypatch):
     found = list_cameras(sys_folder=machine[0], dev_folder=machine[1], ioctl=kernel)
     monkeypatch.setattr("fingerpost.capture.list_cameras", lambda: found)
     cv2.imwrite(str(tmp_path / "seen.png"), np.full((960, 1280, 3), 77, np.uint8))
@@ -516,7 +516,7 @@ LINKS = {
 
 @pytest.fixture
 def twins(tmp_path, monkeypatch) -> Path:
-    """A machine with two webcams of one kind, a third of another, and what udev calls them."""
+    """A machine with two webcams of one model, a third of another, and the links of udev."""
     places = {"video0": "HD Webcam", "video4": "HD Webcam", "video2": "Desk [left]: C920"}
     for node, title in places.items():
         (tmp_path / "sys" / node).mkdir(parents=True)
@@ -528,10 +528,10 @@ def twins(tmp_path, monkeypatch) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.symlink_to(tmp_path / "dev" / node)
 
-    def every_node_is_a_camera(descriptor: int, request: int, told: bytearray) -> None:
+    def every_node_is_a_camera(descriptor: int, request: int, data: bytearray) -> None:
         if request & 0xFF:
             raise OSError(errno.EINVAL, "Invalid argument")
-        struct.pack_into("=I", told, 84, 0x1)
+        struct.pack_into("=I", data, 84, 0x1)
 
     def there() -> list[Camera]:
         folders = {"sys_folder": tmp_path / "sys", "dev_folder": tmp_path / "dev"}
@@ -543,7 +543,7 @@ def twins(tmp_path, monkeypatch) -> Path:
 
 @pytest.fixture
 def opened(monkeypatch) -> list[object]:
-    """What devices are opened by, in place of opening them."""
+    """Sources that were connected; each is replaced by a stub."""
     asked: list[object] = []
 
     def connected(source: object, *_: object) -> Webcam:
@@ -591,16 +591,14 @@ def test_a_camera_is_opened_by_its_name(twins, tmp_path, opened, name, number):
         ),
     ],
 )
-def test_a_name_of_none_or_several_is_one_line_with_those_there_are(twins, name, said):
+def test_an_unknown_or_ambiguous_name_is_refused_with_the_existing_ones(twins, name, said):
     with pytest.raises(SourceError) as raised:
         open_source(name)
     assert str(raised.value) == f"{name}: {said}"
 
 
 @needs_linux
-def test_a_camera_that_comes_back_under_another_number_is_found_by_its_name(
-    twins, opened, monkeypatch
-):
+def test_a_camera_reconnected_under_another_number_is_found_by_its_name(twins, opened, monkeypatch):
     monkeypatch.setattr("fingerpost.capture.live._FIRST_PAUSE_S", 0.0)
     monkeypatch.setattr("fingerpost.capture.live._ENDED_S", 0.0)
     monkeypatch.setattr(Webcam, "grab", lambda _: True)
@@ -613,14 +611,14 @@ def test_a_camera_that_comes_back_under_another_number_is_found_by_its_name(
         assert any(isinstance(entry, Frame) for entry in source)
 
 
-def test_no_camera_is_one_clear_line(monkeypatch):
+def test_without_a_camera_the_command_prints_one_line(monkeypatch):
     monkeypatch.setattr("fingerpost.capture.list_cameras", list)
     done = CliRunner().invoke(main, ["cameras"])
     assert (done.exit_code, done.output.count("\n")) == (0, 1)
     assert done.output.startswith("no camera found; plug one in")
 
 
-def test_frames_that_are_turned_keep_their_place_and_time(tmp_path):
+def test_rotated_frames_keep_their_index_and_time(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((48, 64), np.uint8))
     reading = Reading(offset_s=2.0, arrangement=Arrangement(90))
     with open_views({"a": str(tmp_path / "a.png")}, [reading]) as (source,):

@@ -1,6 +1,6 @@
-"""Sources: every frame once and in order, newest frame of live ones, and what goes wrong said.
+"""Sources: every frame once and in order, the newest frame of live ones, and reported faults.
 
-Each frame carries its number painted as bars, so that what arrives is read from its pixels.
+The number of each frame is painted into it as bars, so a frame can be identified by its pixels.
 """
 
 import errno
@@ -33,7 +33,7 @@ WIDTH, HEIGHT, BARS = 160, 120, 8
 
 
 def painted(number: int) -> np.ndarray:
-    """An image whose eight bars spell `number` in binary, black for 0 and white for 1."""
+    """An image whose eight bars encode `number` in binary, black for 0 and white for 1."""
     bits = [number >> bar & 1 for bar in range(BARS)]
     row = np.repeat(np.array(bits, np.uint8) * 255, WIDTH // BARS)
     return np.ascontiguousarray(np.broadcast_to(row[None, :, None], (HEIGHT, WIDTH, 3)))
@@ -139,7 +139,7 @@ def replace_box(data: bytes, path: list[bytes], change) -> bytes:
 
 def test_a_video_of_variable_rate_keeps_the_times_of_its_file(tmp_path, caplog):
     path = write_video(tmp_path / "a.mp4", 6, fps=25)
-    steps = [300, 700, 256, 600, 400, 512]  # the writer counts 12800 to the second
+    steps = [300, 700, 256, 600, 400, 512]  # in the writer's time base of 1/12800 s
     table = struct.pack(">II", 0, len(steps)) + b"".join(
         struct.pack(">II", 1, step) for step in steps
     )
@@ -153,7 +153,7 @@ def test_a_video_of_variable_rate_keeps_the_times_of_its_file(tmp_path, caplog):
     assert caplog.records == []
 
 
-def test_a_video_filmed_upright_stands_upright(tmp_path):
+def test_a_video_stored_rotated_is_read_upright(tmp_path):
     path = write_video(tmp_path / "a.mp4", 2)
     quarter_turn = struct.pack(">9i", 0, 1 << 16, 0, -(1 << 16), 0, 0, 0, 0, 1 << 30)
     turned = replace_box(
@@ -167,7 +167,7 @@ def test_a_video_filmed_upright_stands_upright(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "resumed"), [("a.mp4", 64), ("a.mkv", 64)])
-def test_a_damaged_middle_is_stepped_over_and_reported(tmp_path, caplog, name, resumed):
+def test_a_damaged_middle_is_skipped_and_reported(tmp_path, caplog, name, resumed):
     path = write_video(tmp_path / name, 90)
     data = bytearray(path.read_bytes())
     damage = slice(int(len(data) * 0.4), int(len(data) * 0.6))
@@ -183,7 +183,7 @@ def test_a_damaged_middle_is_stepped_over_and_reported(tmp_path, caplog, name, r
     assert indices[:20] == list(range(20))
     assert indices[indices.index(resumed) :] == list(range(resumed, 90))
     assert len(seen) < 90
-    # Next to a hole the decoder guesses, until a key frame comes: that is no picture.
+    # After the gap the decoder conceals errors until a key frame: those pictures are lost, too.
     assert any(isinstance(entry, Loss) for entry in seen)
     assert [number_in(frame.image) for frame in frames] == indices
     assert all(entry.time_s == pytest.approx(entry.index / 25) for entry in seen)
@@ -191,7 +191,7 @@ def test_a_damaged_middle_is_stepped_over_and_reported(tmp_path, caplog, name, r
     assert "damaged or missing frames between" in caplog.text
 
 
-def test_a_cut_off_video_gives_what_is_there_and_says_so(tmp_path, caplog):
+def test_a_truncated_video_gives_its_frames_and_reports_the_cut(tmp_path, caplog):
     path = write_video(tmp_path / "a.avi", 60, fourcc="MJPG")
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with open_source(str(path)) as source:
@@ -206,7 +206,7 @@ def test_a_cut_off_video_gives_what_is_there_and_says_so(tmp_path, caplog):
 
 
 @pytest.mark.parametrize("stretch", [slice(0.4, 0.6), slice(0.495, 0.505)])
-def test_frames_that_an_avi_hides_behind_damage_are_counted_and_told(tmp_path, caplog, stretch):
+def test_frames_of_an_avi_hidden_by_damage_are_counted_and_reported(tmp_path, caplog, stretch):
     path = write_video(tmp_path / "a.avi", 60, fourcc="MJPG")
     data = bytearray(path.read_bytes())
     damage = slice(int(stretch.start * len(data)), int(stretch.stop * len(data)))
@@ -214,19 +214,19 @@ def test_frames_that_an_avi_hides_behind_damage_are_counted_and_told(tmp_path, c
     path.write_bytes(data)
     with open_source(str(path)) as source:
         frames = list(source)
-    # What follows the hole moves up in the count, and AVI dates by nothing else.
+    # Frames after the gap move up in the count, and AVI has no other times.
     hidden = 59 - frames[-1].index
     assert 0 < hidden < 60 - len(frames[:20])
     assert number_in(frames[-1].image) == 59
-    (told,) = [record.getMessage() for record in caplog.records if "ends at" in record.getMessage()]
-    assert told == (
+    (said,) = [record.getMessage() for record in caplog.records if "ends at" in record.getMessage()]
+    assert said == (
         f"{path}: ends at {2.4 - hidden / 25:.3f} s although its header says 2.400 s: cut off or "
         "damaged; as AVI stores no times, frames behind damage are dated up to "
         f"{hidden / 25:.3f} s early"
     )
 
 
-def test_frame_times_never_stand_still(caplog):
+def test_frame_times_always_increase(caplog):
     times = FrameTimes(0.1, "a.avi")
     placed = [times.place(time_s, 0) for time_s in (0.0, 0.0, 0.0, float("nan"), 0.4, 0.55)]
     assert [index for index, _ in placed] == list(range(6))
@@ -234,9 +234,9 @@ def test_frame_times_never_stand_still(caplog):
     assert caplog.text.count("a.avi: frame 1 has no time after its predecessor's") == 1
 
 
-def test_a_leap_means_missing_frames_only_at_a_constant_rate():
-    steady = FrameTimes(0.1, "a.avi")
-    assert [steady.place(s, 0)[0] for s in (0.0, 0.1, 0.2, 0.6, 0.7)] == [0, 1, 2, 6, 7]
+def test_a_gap_counts_missing_frames_only_at_a_constant_rate():
+    constant = FrameTimes(0.1, "a.avi")
+    assert [constant.place(s, 0)[0] for s in (0.0, 0.1, 0.2, 0.6, 0.7)] == [0, 1, 2, 6, 7]
     variable = FrameTimes(0.1, "a.avi")
     assert [variable.place(s, 0)[0] for s in (0.0, 0.13, 0.2, 0.6, 0.7)] == [0, 1, 2, 3, 4]
     assert variable.place(1.0, 2)[0] == 7
@@ -263,7 +263,7 @@ def test_images_come_in_natural_order_at_the_given_rate(tmp_path):
     assert numbers(tmp_path / "**" / "img9.png") == [2]
 
 
-def test_one_still_image_is_shown_again_and_again(tmp_path):
+def test_one_still_image_is_repeated(tmp_path):
     write_images(tmp_path, ["a [1].png"])
     assert numbers(tmp_path / "a [1].png") == [0] * STILL_FRAMES
 
@@ -273,7 +273,7 @@ def test_a_glob_of_one_image_is_one_frame(tmp_path):
     assert numbers(tmp_path / "a*.png") == [0]
 
 
-def test_every_pixel_format_becomes_eight_bits_in_a_stated_way(tmp_path):
+def test_pixel_formats_are_converted_to_eight_bits(tmp_path):
     def read(name: str, stored: np.ndarray) -> np.ndarray:
         assert cv2.imwrite(str(tmp_path / name), stored)
         with open_source(str(tmp_path / name)) as source:
@@ -291,7 +291,7 @@ def test_every_pixel_format_becomes_eight_bits_in_a_stated_way(tmp_path):
         read("float.tiff", grey.astype(np.float32))
 
 
-def test_grey_is_the_luma_of_colour_and_the_image_itself_of_grey(tmp_path):
+def test_grey_is_the_luma_of_a_colour_image_or_the_grey_image_itself(tmp_path):
     cv2.imwrite(str(tmp_path / "colour.png"), np.full((4, 4, 3), (10, 100, 200), np.uint8))
     cv2.imwrite(str(tmp_path / "grey.png"), np.full((4, 4), 77, np.uint8))
     with open_source(str(tmp_path / "colour.png")) as source:
@@ -302,7 +302,7 @@ def test_grey_is_the_luma_of_colour_and_the_image_itself_of_grey(tmp_path):
         assert frame.grey() is frame.image
 
 
-def test_a_photo_taken_upright_stands_upright(tmp_path):
+def test_a_photo_stored_rotated_is_read_upright(tmp_path):
     ok, jpeg = cv2.imencode(".jpg", painted(0))
     assert ok
     # EXIF with one entry: orientation (0x112), type short, one value, 6 = turn right.
@@ -316,7 +316,7 @@ def test_a_photo_taken_upright_stands_upright(tmp_path):
 
 @pytest.mark.parametrize("suffix", ["png", "jpg", "bmp"])
 @pytest.mark.parametrize("kept", [0.9, 0.5, 0.1])
-def test_a_cut_off_image_is_a_loss_and_named_in_the_end(tmp_path, suffix, kept):
+def test_a_truncated_image_is_a_loss_and_named_in_the_damage(tmp_path, suffix, kept):
     write_images(tmp_path, [f"{number}.{suffix}" for number in range(3)])
     broken = tmp_path / f"1.{suffix}"
     broken.write_bytes(broken.read_bytes()[: int(broken.stat().st_size * kept)])
@@ -327,7 +327,7 @@ def test_a_cut_off_image_is_a_loss_and_named_in_the_end(tmp_path, suffix, kept):
         assert source.damage.startswith(f"1 of 3 pictures are damaged ({broken}: cannot be decoded")
 
 
-def test_a_cut_off_jpeg_is_seen_behind_its_thumbnail(tmp_path):
+def test_truncation_of_a_jpeg_is_detected_behind_its_thumbnail(tmp_path):
     ok, jpeg = cv2.imencode(".jpg", painted(5))
     assert ok
     data = jpeg.tobytes()
@@ -356,23 +356,23 @@ def test_images_of_another_size_or_kind_are_named(tmp_path):
 
 
 def lost_of_three(folder: Path) -> str:
-    """Read three images of which the second is lost; give what is said of it."""
+    """Read three images of which the second is lost; return the reported reason."""
     with open_source(str(folder / "*.png")) as source:
         assert [type(entry) for entry in source] == [Frame, Loss, Frame]
         return source.damage.removeprefix("1 of 3 pictures are damaged (").removesuffix(")")
 
 
-def test_images_none_of_which_can_be_decoded_are_an_error(tmp_path):
+def test_images_of_which_none_can_be_decoded_are_an_error(tmp_path):
     for name in ("1.png", "2.png"):
         (tmp_path / name).write_text("hello")
     with pytest.raises(CaptureError, match=r"no picture is sound: 2 of 2 .*1\.png: cannot be"):
         list(open_source(str(tmp_path / "*.png")))
 
 
-# --- what cannot be opened -------------------------------------------------------------------
+# --- sources that cannot be opened -----------------------------------------------------------
 
 
-def test_what_cannot_be_opened_is_named_with_what_would_be_right(tmp_path):
+def test_a_source_that_cannot_be_opened_is_named_with_a_remedy(tmp_path):
     (tmp_path / "empty.mp4").touch()
     (tmp_path / "text.mp4").write_text("no video " * 1000)
     header_only = write_video(tmp_path / "none.avi", 0, fourcc="MJPG")
@@ -406,13 +406,13 @@ def test_what_cannot_be_opened_is_named_with_what_would_be_right(tmp_path):
         ("a.mp4", {"timeout_s": -1.0}, "timeout_s = -1.0"),
     ],
 )
-def test_what_is_no_source_at_all_is_refused(source, options, said):
+def test_invalid_sources_and_options_are_refused(source, options, said):
     with pytest.raises(InvalidInputError, match=said):
         open_source(source, **options)
 
 
 def in_another_process(program: str, *arguments: str | bytes, **environment: str) -> str:
-    """What a program that opens sources prints; OpenCV would take this process down with it."""
+    """Return the output of a program that opens sources; OpenCV could crash this process."""
     done = subprocess.run(
         [
             sys.executable,
@@ -454,13 +454,13 @@ needs_bytes_for_names = pytest.mark.skipif(
 def test_a_name_that_is_not_utf8_is_refused_in_one_line(tmp_path, suffix):
     named = os.fsencode(tmp_path) + b"/hand\xff." + suffix.encode()
     write_video(tmp_path / "a.avi", 3, fourcc="MJPG").rename(os.fsdecode(named))
-    told = in_another_process(REFUSED.format(source="sys.argv[1]"), named)
-    assert "source: the path" in told
-    assert f"hand\\\\udcff.{suffix} is not UTF-8, as OpenCV needs it; rename the file" in told
+    said = in_another_process(REFUSED.format(source="sys.argv[1]"), named)
+    assert "source: the path" in said
+    assert f"hand\\\\udcff.{suffix} is not UTF-8, as OpenCV needs it; rename the file" in said
 
 
 @needs_bytes_for_names
-def test_images_of_a_glob_may_be_called_anything(tmp_path):
+def test_images_of_a_glob_may_have_names_that_are_not_utf8(tmp_path):
     write_images(tmp_path, ["1.png"])
     (tmp_path / "1.png").rename(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.png"))
     assert numbers(tmp_path / "*.png") == [0]
@@ -471,9 +471,9 @@ def test_a_name_in_utf8_is_opened_under_any_locale(tmp_path):
     path = write_video(tmp_path / "a.avi", 3, fourcc="MJPG").rename(tmp_path / "né.avi")
     ascii_alone = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     assert in_another_process(COUNT, str(path).encode(), **ascii_alone) == "3\n"
-    # As a rig file may say it, which is UTF-8 under every locale.
-    told = in_another_process(REFUSED.format(source="'n\\xe9.avi'"), **ascii_alone)
-    assert "file names are written in ascii here; a UTF-8 locale is right" in told
+    # As given in a rig file, which is UTF-8 under every locale.
+    said = in_another_process(REFUSED.format(source="'n\\xe9.avi'"), **ascii_alone)
+    assert "file names are written in ascii here; a UTF-8 locale is right" in said
 
 
 def test_views_that_read_one_source_are_refused(tmp_path, monkeypatch):
@@ -496,11 +496,11 @@ def test_views_that_read_one_source_are_refused(tmp_path, monkeypatch):
             f'views "left" and "right" both read {read}; each needs a source of its own'
         )
     refuse_repeated({"left": "1.png", "right": "2.png", "above": 0, "below": 1})
-    # Names that stand for sources which nobody opens.
+    # Equal names of sources that cannot be opened are allowed.
     refuse_repeated({"left": "none.mp4", "right": "none.mp4", "above": "a\0b", "below": "a\0b"})
 
 
-def test_a_camera_is_the_same_by_its_number_and_by_its_file(tmp_path, monkeypatch):
+def test_a_camera_is_identified_by_its_number_and_by_its_file(tmp_path, monkeypatch):
     monkeypatch.setattr(opening, "_CAMERA_FILE", str(tmp_path / "video{}"))
     for number in (0, 2):
         (tmp_path / f"video{number}").touch()
@@ -527,7 +527,7 @@ def test_a_file_that_may_not_be_read_is_named(tmp_path, monkeypatch):
 
 
 class HandFedDevice:
-    """A camera whose frames come when the test says so; one that is not fed blocks or fails."""
+    """A camera that gives the frames fed to it; without one, `grab` fails after 10 ms."""
 
     def __init__(self, *, opened: bool = True) -> None:
         self.opened = opened
@@ -597,19 +597,19 @@ def test_no_frame_is_given_twice():
         late.join()
 
 
-def test_a_camera_that_sends_nothing_is_lost_and_comes_back(caplog, monkeypatch):
+def test_a_silent_camera_is_lost_until_it_sends_again(caplog, monkeypatch):
     monkeypatch.setattr("fingerpost.capture.live._FIRST_PAUSE_S", 0.01)
     device = HandFedDevice()
     device.feed(2)
     with live(device) as source:
         next(source)
-        source._timeout_s = 0.05  # from here on: a busy machine may open it late
+        source._timeout_s = 0.05  # only now: a busy machine may open it late
         lost = next(entry for entry in source if isinstance(entry, Loss))
         assert lost.why == "no picture has come for 0.1 s"
         assert [record.getMessage() for record in caplog.records] == [
             "camera 0: no new frame within 0.05 s: lost until it sends again"
         ]
-        wait_until(device.released.is_set)  # it is opened anew meanwhile
+        wait_until(device.released.is_set)  # it is then reopened
         source._timeout_s = PATIENCE_S
         device.feed(1)
         wait_until(lambda: source.frames_grabbed == 3)
@@ -638,7 +638,7 @@ def test_a_camera_is_lost_while_its_pictures_have_another_size(caplog):
     assert source.damage == ""
 
 
-def test_a_camera_that_is_slow_by_nature_is_not_overdue():
+def test_a_camera_of_a_low_rate_is_not_overdue():
     device = HandFedDevice()
     device.feed(1)
     with live(device) as source:
@@ -649,9 +649,7 @@ def test_a_camera_that_is_slow_by_nature_is_not_overdue():
 
 
 @pytest.mark.parametrize(("bridged_s", "taken"), [(1e6, 2), (0.0, 1)])
-def test_a_frame_that_has_waited_gives_way_to_the_next_if_that_is_near(
-    monkeypatch, bridged_s, taken
-):
+def test_an_old_frame_is_replaced_by_the_next_if_that_is_due_soon(monkeypatch, bridged_s, taken):
     monkeypatch.setattr("fingerpost.capture.live._OVERDUE_S", bridged_s)
     device = HandFedDevice()
     device.feed(1)
@@ -667,15 +665,15 @@ def test_a_frame_that_has_waited_gives_way_to_the_next_if_that_is_near(
         following.join()
 
 
-def test_a_camera_that_does_not_open_or_never_sends_is_an_error():
+def test_a_camera_that_does_not_open_or_send_is_an_error():
     with pytest.raises(CaptureError, match="camera 0: cannot be opened; is it plugged in"):
         live(HandFedDevice(opened=False))
-    # A busy machine may not even open it within that.
+    # A busy machine may not even open it in that time.
     with pytest.raises(CaptureError, match=r"camera 0: (no new frame|did not open) within 0\.1 s"):
         live(HandFedDevice(), timeout_s=0.1)
 
 
-def test_a_driver_that_raises_is_an_error_of_whoever_waits():
+def test_an_exception_of_the_driver_reaches_the_caller():
     class Raising(HandFedDevice):
         def retrieve(self):
             raise cv2.error("the driver\nsays no")
@@ -687,7 +685,7 @@ def test_a_driver_that_raises_is_an_error_of_whoever_waits():
     assert device.released.is_set()
 
 
-def test_a_device_that_blocks_for_ever_is_left_behind(caplog, monkeypatch):
+def test_a_blocked_device_is_abandoned(caplog, monkeypatch):
     monkeypatch.setattr("fingerpost.capture.live._JOIN_S", 0.05)
     unblock = threading.Event()
 
@@ -727,10 +725,10 @@ def test_a_device_file_is_opened_as_a_camera():
 
 
 class JpegServer(http.server.ThreadingHTTPServer):
-    """Motion JPEG on a loopback port: frames 0, 1, 2, ... are sent as far as `allowed`."""
+    """Motion JPEG on a loopback port: sends the first `allowed` frames."""
 
     daemon_threads = True
-    # Frames that the demuxer holds back until it has seen the start of later ones.
+    # Frames that the demuxer holds back until later ones begin.
     HELD_BACK = 2
 
     def __init__(self, allowed: int) -> None:
@@ -776,7 +774,7 @@ def server():
     server.server_close()
 
 
-def test_a_stream_read_slowly_stays_fresh(server):
+def test_a_stream_read_slowly_gives_its_newest_frame(server):
     with open_source(server.url, timeout_s=PATIENCE_S) as source:
         for sent in (30, 80, 130, 180):
             server.allowed = sent
@@ -785,7 +783,7 @@ def test_a_stream_read_slowly_stays_fresh(server):
             assert number_in(next(source).image) >= reached - 1
 
 
-def test_a_stream_of_jpegs_gives_them_as_they_were_sent(server):
+def test_a_stream_of_jpegs_keeps_the_encoded_pictures(server):
     with open_source(server.url, timeout_s=PATIENCE_S) as source:
         frame = next(source)
     sent = cv2.imencode(".jpg", painted(number_in(frame.image)))[1]
@@ -794,12 +792,12 @@ def test_a_stream_of_jpegs_gives_them_as_they_were_sent(server):
 
 
 @pytest.mark.parametrize("sent", [b"\xff\xd8\xff", b"\xff\xd8\xff\xe0no jpeg\xff\xd9"])
-def test_a_jpeg_that_cannot_be_decoded_is_no_picture(sent):
+def test_an_undecodable_jpeg_gives_no_picture(sent):
     picture, _ = picture_of(np.frombuffer(sent, np.uint8)[None])
     assert picture is None
 
 
-def test_pictures_that_come_decoded_stay_as_they_are():
+def test_decoded_pictures_are_passed_through():
     flat = np.full((1, 30), 7, np.uint8)
     padded = np.frombuffer(cv2.imencode(".jpg", painted(3))[1].tobytes() + bytes(9), np.uint8)
     assert picture_of(flat)[0].tolist() == flat.tolist()
@@ -808,24 +806,24 @@ def test_pictures_that_come_decoded_stay_as_they_are():
     assert encoded == padded.tobytes()[:-9]
 
 
-def test_a_stream_that_ends_is_lost_and_comes_back(server, monkeypatch):
+def test_a_stream_that_ends_is_lost_until_it_is_reopened(server, monkeypatch):
     monkeypatch.setattr("fingerpost.capture.live._FIRST_PAUSE_S", 0.01)
     with open_source(server.url, timeout_s=PATIENCE_S) as source:
         server.closing = True
-        source._timeout_s = 0.2  # from here on: a busy machine may open it late
+        source._timeout_s = 0.2  # only now: a busy machine may open it late
         assert any(isinstance(entry, Loss) for entry in source)
         server.closing = False
         assert any(isinstance(entry, Frame) for entry in source)
     assert "secret" not in source.name
 
 
-def test_urls_that_lead_nowhere_are_errors(server):
+def test_urls_without_a_stream_are_errors(server):
     with pytest.raises(SourceError, match=r"nothing\.mjpg: the server answers 404") as raised:
         open_source(server.url.replace("stream", "nothing"), timeout_s=PATIENCE_S)
     assert "secret" not in str(raised.value)
 
 
-def test_a_server_that_never_answers_is_given_up():
+def test_a_server_that_never_answers_times_out():
     with http.server.socketserver.socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"http://127.0.0.1:{silent.getsockname()[1]}/stream.mjpg"
         with pytest.raises(CaptureError, match=r"did not answer within 0\.3 s"):
@@ -841,12 +839,12 @@ def test_opencv_is_loaded_only_where_pixels_are_needed():
 # --- several views ---------------------------------------------------------------------------
 
 
-def test_recorded_views_go_in_step_with_their_own_times(tmp_path, caplog):
+def test_recorded_views_are_paired_by_their_times(tmp_path, caplog):
     write_video(tmp_path / "a.mp4", 12, fps=25)
     write_video(tmp_path / "b.avi", 9, fourcc="MJPG", fps=20)
     with open_source(str(tmp_path / "a.mp4")) as a, open_source(str(tmp_path / "b.avi")) as b:
         steps = list(read_views([a, b]))
-    # Frames of 0.04 and 0.05 s: the fourth of the one, at 0.12 s, is nearer to none of the other's.
+    # Intervals of 0.04 and 0.05 s: a's fourth frame, at 0.12 s, is the nearest to none of b's.
     together = [[k, k] for k in range(3)] + [[3, None], [4, 3], [5, 4], [6, 5], [7, 6]]
     together += [[8, None], [9, 7], [10, 8]]
     assert [[frame and frame.index for frame in step] for step in steps] == together
@@ -859,7 +857,7 @@ def test_recorded_views_go_in_step_with_their_own_times(tmp_path, caplog):
     assert f"{tmp_path / 'b.avi'} ended before the other views" in caplog.text
 
 
-def test_views_stay_in_step_behind_a_damaged_stretch(tmp_path, caplog):
+def test_views_stay_paired_behind_a_damaged_stretch(tmp_path, caplog):
     caplog.set_level(logging.CRITICAL)
     whole = write_video(tmp_path / "whole.mp4", 60)
     data = bytearray(whole.read_bytes())
@@ -894,7 +892,7 @@ def test_live_views_give_a_new_frame_of_each(tmp_path):
         assert list(steps) == []
 
 
-def test_a_view_of_a_lower_rate_holds_up_no_other_and_is_named_once(caplog):
+def test_a_view_of_a_lower_rate_delays_no_other_and_is_named_once(caplog):
     devices = [HandFedDevice(), HandFedDevice()]
     for device in devices:
         device.feed(12)
@@ -918,7 +916,7 @@ def test_a_view_of_a_lower_rate_holds_up_no_other_and_is_named_once(caplog):
         assert caplog.text.count(f"camera 0: {slowness}") == 1
 
 
-def test_views_of_different_kind_or_none_are_refused(tmp_path):
+def test_no_views_or_views_of_different_kinds_are_refused(tmp_path):
     write_images(tmp_path, ["1.png"])
     device = HandFedDevice()
     device.feed(1)
@@ -932,7 +930,7 @@ def test_views_of_different_kind_or_none_are_refused(tmp_path):
         read_views([])
 
 
-def test_times_of_one_view_only_grow(tmp_path):
+def test_times_of_one_view_increase(tmp_path):
     path = write_video(tmp_path / "a.mp4", 30, fps=29.97)
     with open_source(str(path)) as source:
         times = [frame.time_s for frame in source]

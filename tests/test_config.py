@@ -1,4 +1,4 @@
-"""The rig file: what it says is what comes out, and every mistake is one line that helps."""
+"""The rig file: loading, saving, and a one-line error for every mistake."""
 
 import math
 import re
@@ -67,7 +67,7 @@ def load(tmp_path: Path):
     return load
 
 
-def test_what_the_file_says_is_what_comes_out(load, tmp_path):
+def test_a_rig_file_is_loaded(load, tmp_path):
     rig = load(RIG)
 
     assert rig.plane.unit == "mm"
@@ -88,13 +88,13 @@ def test_urls_and_absolute_paths_are_not_relative_to_the_file(load, source):
     assert load(RIG.replace("left/*.jpg", source)).views[0].source == source
 
 
-def test_a_byte_order_mark_and_windows_line_ends_are_read(tmp_path):
+def test_a_byte_order_mark_and_windows_line_ends_are_accepted(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_bytes(b"\xef\xbb\xbf" + RIG.replace("\n", "\r\n").encode())
     assert Rig.load(path).plane.unit == "mm"
 
 
-def test_one_view_and_more_than_four_points_are_a_rig(load):
+def test_one_view_and_more_than_four_points_are_valid(load):
     text = (PLANE + LEFT).replace("[0, 400]]", "[0, 400], [200, 200]]")
     text = text.replace("[126.2, 231.3]]", "[126.2, 231.3], [327.7, 267.8]]")
     rig = load(text)
@@ -198,7 +198,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
         Rig.load(picture)
 
 
-def test_rigs_made_in_python_are_checked_too():
+def test_rigs_made_in_python_are_validated():
     with pytest.raises(InvalidInputError, match="none found"):
         rig_of()
     with pytest.raises(InvalidInputError, match="2 views are called"):
@@ -209,7 +209,7 @@ def test_rigs_made_in_python_are_checked_too():
         view(reference_points_px=((0, math.nan), (1, 0), (1, 1), (0, 1)))
 
 
-def test_saving_and_loading_gives_the_same_rig_wherever_the_folder_goes(load, tmp_path):
+def test_a_saved_rig_is_loaded_unchanged_and_its_folder_may_be_moved(load, tmp_path):
     rig = load(RIG)
     rig.save(tmp_path / "copy.toml")
     assert Rig.load(tmp_path / "copy.toml") == rig
@@ -220,7 +220,7 @@ def test_saving_and_loading_gives_the_same_rig_wherever_the_folder_goes(load, tm
     assert moved.views[0].source == str(tmp_path / "moved" / "left/*.jpg")
 
 
-def test_sources_outside_the_new_folder_stay_findable(load, tmp_path, monkeypatch):
+def test_sources_outside_the_new_folder_are_saved_as_absolute_paths(load, tmp_path, monkeypatch):
     rig = load(RIG)
     (tmp_path / "other").mkdir()
     monkeypatch.chdir(tmp_path)
@@ -228,7 +228,7 @@ def test_sources_outside_the_new_folder_stay_findable(load, tmp_path, monkeypatc
     assert Rig.load("other/rig.toml").views[0].source == str(tmp_path / "left/*.jpg")
 
 
-def test_a_folder_whose_name_looks_like_a_glob_round_trips(tmp_path):
+def test_a_folder_named_like_a_glob_is_saved_and_loaded(tmp_path):
     folder = tmp_path / "set [1]"
     folder.mkdir()
     (folder / "a.mp4").touch()
@@ -248,7 +248,7 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["\0", "x" * 5000])
-def test_a_name_that_no_file_can_have_is_refused(tmp_path, name):
+def test_an_invalid_file_name_is_refused(tmp_path, name):
     for use in (Rig.load, Rig.load_cameras, rig_of(view()).save):
         with pytest.raises(RigError) as raised:
             use(tmp_path / name)
@@ -261,13 +261,13 @@ def test_a_directory_is_no_rig_file(tmp_path, name):
         Rig.load(tmp_path / name)
 
 
-def test_a_source_that_is_no_text_is_not_written(tmp_path):
+def test_a_source_that_is_not_utf8_is_not_saved(tmp_path):
     with pytest.raises(RigError, match="a source is no text in UTF-8"):
         rig_of(view(source="a\udcff.mp4")).save(tmp_path / "rig.toml")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_disk_that_is_full_leaves_the_rig_that_was_there(tmp_path):
+def test_a_full_disk_leaves_the_previous_rig(tmp_path):
     path, other = tmp_path / "rig.toml", tmp_path / "rig.toml.part"
     rig_of(view()).save(path)
     old = path.read_bytes()
@@ -304,7 +304,7 @@ starts = st.builds(
     length_px=st.floats(0.1, 1e5),
     thumb=st.sampled_from(["left", "right", "none"]),
 )
-# Long enough, and bent little enough, for the model to hold at the reference points.
+# Focal length and distortion for which the lens model is valid at the reference points.
 lenses = st.builds(
     LensParameters,
     fx=st.floats(1e3, 1e5),
@@ -323,13 +323,13 @@ lenses = st.builds(
     lens=lenses | st.none(),
     start=starts | st.none(),
 )
-def test_any_rig_survives_being_written(unit, names, source, lens, start):
+def test_any_rig_is_unchanged_by_writing_and_reading(unit, names, source, lens, start):
     views = (view(name, source=source, lens_parameters=lens, start=start) for name in names)
     rig = Rig(plane=Plane(unit=unit, points=SQUARE), views=tuple(views))
     assert msgspec.convert(tomllib.loads(rig.dumps()), Rig) == rig
 
 
-def test_the_example_of_a_written_rig_is_what_a_person_would_write(load):
+def test_a_written_rig_has_the_layout_of_a_hand_written_one(load):
     text = load(RIG).dumps()
     assert re.sub(r'source = ".*/left', 'source = "left', text) == RIG.replace(
         "[[0, 0], [400, 0], [400, 400], [0, 400]]",

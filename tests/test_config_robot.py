@@ -1,4 +1,4 @@
-"""What a robot adds to the rig file: its table, covariances, a plane still to be defined."""
+"""The rig file of a robot: its table, covariances, and cameras without a plane."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ COVARIANCES = "reference_covariances_px2 = [[0.3, 0.1, 0.2], [1, 0, 1], [2, 1, 1
 SURE = RIG + COVARIANCES  # of the last view
 
 
-def test_a_robot_is_read_and_written(load, tmp_path):
+def test_the_robot_table_is_read_and_written(load, tmp_path):
     rig = load(RIG + ROBOT)
     assert rig.robot == RobotTable(
         url="acl:///dev/ttyUSB0",
@@ -50,7 +50,7 @@ def test_a_robot_is_read_and_written(load, tmp_path):
         ("pitch_deg = -90", "pitch_deg = inf", "robot: pitch_deg"),
     ],
 )
-def test_a_robots_mistakes_are_one_line(load, found, instead, said):
+def test_a_mistake_in_the_robot_table_is_one_line(load, found, instead, said):
     text = (RIG + ROBOT).replace(found, instead)
     with pytest.raises(RigError) as caught:
         load(text)
@@ -58,7 +58,7 @@ def test_a_robots_mistakes_are_one_line(load, found, instead, said):
     assert "\n" not in str(caught.value)
 
 
-def test_covariances_of_reference_points_are_those_that_count(load, tmp_path):
+def test_given_covariances_replace_the_default(load, tmp_path):
     rig = load(SURE)
     left, right = rig.views
     assert left.reference_covariances_px2 is None
@@ -70,15 +70,15 @@ def test_covariances_of_reference_points_are_those_that_count(load, tmp_path):
     assert Rig.load(tmp_path / "again.toml") == rig
 
 
-def test_the_main_loop_takes_them():
+def test_the_main_loop_uses_given_covariances():
     start = Start(tip_px=(50, 50), angle_deg=90.0, length_px=20.0, thumb="left")
     sure = tuple((0.01, 0.0, 0.01) for _ in SQUARE_PX)
     rigs = [
         rig_of(*(view(name, start=start, reference_covariances_px2=given) for name in "ab"))
         for given in (None, sure)
     ]
-    assumed, told = (Pointer(rig).plane_views[0].entries_covariance for rig in rigs)
-    np.testing.assert_allclose(assumed, told * (0.5 / 0.1) ** 2, rtol=1e-6)
+    assumed, exact = (Pointer(rig).plane_views[0].entries_covariance for rig in rigs)
+    np.testing.assert_allclose(assumed, exact * (0.5 / 0.1) ** 2, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_the_main_loop_takes_them():
         (((1.0, 0.0, float("nan")),) * 4, "nan"),
     ],
 )
-def test_covariances_that_are_none(covariances, said):
+def test_invalid_covariances_are_refused(covariances, said):
     with pytest.raises(InvalidInputError, match=said):
         View(
             name="only",

@@ -1,4 +1,4 @@
-"""Rigs that their pictures belie: every mistake is made with a rig that is right, and named."""
+"""Rigs that contradict their pictures: mistakes are put into a correct rig and identified."""
 
 import itertools
 from itertools import product
@@ -23,8 +23,8 @@ SIZE = np.array([640, 480])
 
 
 def pictured(background=SHEET_ON_WOOD, *, seed=3, **placement):
-    """A rig that is right, and a picture of each view."""
-    # Unlike from either side, or a mirrored picture would be the other view's.
+    """Return a correct rig, and a picture of each view."""
+    # Asymmetric: otherwise a mirrored picture would equal the other view's.
     simulated = SimulatedRig(
         Placement(**{"azimuths_deg": (-22.0, 10.0), **placement}), background=background
     )
@@ -32,11 +32,11 @@ def pictured(background=SHEET_ON_WOOD, *, seed=3, **placement):
 
 
 def with_points(rig, points_px):
-    """The rig with other points in some views."""
+    """Return the rig with other reference points in some views."""
     views = list(rig.views)
     for k, points in points_px.items():
-        told = tuple((float(u), float(v)) for u, v in points)
-        views[k] = structs.replace(views[k], reference_points_px=told)
+        pixels = tuple((float(u), float(v)) for u, v in points)
+        views[k] = structs.replace(views[k], reference_points_px=pixels)
     return structs.replace(rig, views=tuple(views))
 
 
@@ -60,13 +60,13 @@ MISTAKES = {
 MADE = [
     (words, views)
     for words, views in product(MISTAKES, [(1,), (0, 1)])
-    # Another order in the first view is one in the other, and in both one of the plane's axes.
+    # An order changed in the first view equals one changed in the other; in both, other axes.
     if words != "the order" or views == (1,)
 ]
 
 
 @pytest.mark.parametrize(("words", "views"), MADE)
-def test_a_mistake_is_named_with_the_points_that_would_be_right(right, words, views):
+def test_a_mistake_is_identified_with_the_corrected_points(right, words, views):
     rig, pictures = right
     wrong = with_points(rig, {k: MISTAKES[words](given(rig)[k]) for k in views})
     mistake = Scenery(wrong, pictures).mistake()
@@ -76,7 +76,7 @@ def test_a_mistake_is_named_with_the_points_that_would_be_right(right, words, vi
     np.testing.assert_allclose(given(corrected), given(rig), atol=1.0)
 
 
-def test_views_whose_points_were_swapped_are_told(right):
+def test_swapped_points_of_two_views_are_identified(right):
     rig, pictures = right
     first, other = given(rig)
     mistake = Scenery(with_points(rig, {0: other, 1: first}), pictures).mistake()
@@ -85,7 +85,7 @@ def test_views_whose_points_were_swapped_are_told(right):
 
 @pytest.mark.parametrize("crop_px", [(60.0, 40.0), (-25.0, 110.0), (20.0, 5.0)])
 @pytest.mark.parametrize("views", [(0,), (0, 1)])
-def test_points_of_a_crop_are_brought_to_their_corners(crop_px, views):
+def test_points_measured_in_a_crop_are_corrected(crop_px, views):
     rig, pictures = pictured()
     wrong = with_points(rig, {k: given(rig)[k] - crop_px for k in views})
     mistake = Scenery(wrong, pictures).mistake()
@@ -97,7 +97,7 @@ def test_points_of_a_crop_are_brought_to_their_corners(crop_px, views):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_points_that_are_each_off_are_noticed(seed):
+def test_points_with_individual_errors_are_corrected(seed):
     rig, pictures = pictured()
     turn = np.random.default_rng(seed).uniform(0, 2 * np.pi, 4)
     off_px = 25.0 * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
@@ -111,7 +111,7 @@ def test_points_that_are_each_off_are_noticed(seed):
 @pytest.mark.parametrize(
     "background", [SHEET_ON_WOOD, PRINTED, Background(), Background(sheet=80.0)]
 )
-def test_nothing_is_said_of_a_rig_that_is_right(background, seed):
+def test_a_correct_rig_has_no_findings(background, seed):
     rng = np.random.default_rng(seed)
     rig, pictures = pictured(
         background,
@@ -143,9 +143,9 @@ def test_nothing_is_said_of_a_rig_that_is_right(background, seed):
 
 @pytest.mark.parametrize("background", [SHEET_ON_WOOD, Background(texture="wood"), Background()])
 @pytest.mark.parametrize("seed", range(3))
-def test_a_hand_in_sight_makes_no_mistake_of_a_rig_that_is_right(background, seed):
+def test_a_visible_hand_is_no_mistake_of_a_correct_rig(background, seed):
     rng = np.random.default_rng(seed)
-    simulated = SimulatedRig(background=background)  # as symmetric as can be
+    simulated = SimulatedRig(background=background)  # symmetric cameras
     pose = DevicePose.pointing_at(
         tuple(rng.uniform(120, 280, 2)), azimuth_deg=35.0, slant_deg=45.0, hover_mm=80.0
     )
@@ -155,7 +155,7 @@ def test_a_hand_in_sight_makes_no_mistake_of_a_rig_that_is_right(background, see
 
 @pytest.mark.parametrize("height_mm", [-25.0, 25.0])
 def test_a_plane_above_or_below_the_table_is_no_mistake(height_mm):
-    """As a robot shows one: its points are not where the table's texture is."""
+    """As defined by a robot: its points are not in the plane of the table's texture."""
     simulated = SimulatedRig(background=SHEET_ON_WOOD)
     rig, pictures = rig_from_simulation(simulated), simulated.render(None, rng=1).images
     points = np.column_stack([rig.plane.points, np.full(len(rig.plane.points), height_mm)])
@@ -165,7 +165,7 @@ def test_a_plane_above_or_below_the_table_is_no_mistake(height_mm):
     assert Scenery(raised, pictures).mistake() is None
 
 
-def test_more_points_than_four_and_one_between_the_others_pass():
+def test_more_than_four_points_and_inner_ones_are_no_mistake():
     simulated = SimulatedRig(
         workspace=Workspace(points_per_side=3), background=Background(texture="wood", clutter=30.0)
     )
@@ -184,7 +184,7 @@ def test_more_points_than_four_and_one_between_the_others_pass():
     assert [what for what in found if "off the corner" not in what] == []
 
 
-def test_two_views_of_one_picture_are_no_two_views():
+def test_two_views_of_the_same_picture_are_refused():
     rig, pictures = pictured()
     both = [pictures[0], pictures[0]]
     assert "show the same picture" in Scenery(rig, both).same_pictures().what
@@ -192,7 +192,7 @@ def test_two_views_of_one_picture_are_no_two_views():
         run(rig, both)
 
 
-def test_pictures_with_nothing_in_them_and_views_alone_are_never_right():
+def test_empty_pictures_and_single_views_are_reported():
     rig, pictures = pictured()
     grey = np.full((480, 640), 128, np.uint8)
     frames = [[Frame(0, 0.0, picture)] for picture in (pictures[0], grey)]
@@ -208,7 +208,7 @@ def run(rig, pictures, frames=1):
     return list(steps(pointer, together))
 
 
-def test_a_run_refuses_what_is_certain_and_says_the_line_that_would_be_right():
+def test_a_run_refuses_a_certain_mistake_and_gives_the_corrected_line():
     rig, pictures = pictured()
     wrong = with_points(rig, {k: points[:, ::-1] for k, points in enumerate(given(rig))})
     with pytest.raises(InvalidInputError, match="rows and columns") as refused:
@@ -219,14 +219,14 @@ def test_a_run_refuses_what_is_certain_and_says_the_line_that_would_be_right():
 
 def test_points_measured_in_pictures_of_another_size_are_refused():
     rig, pictures = pictured()
-    told = structs.replace(rig.views[0], size_px=(1280, 960))
-    rig = structs.replace(rig, views=(told, rig.views[1]))
+    resized = structs.replace(rig.views[0], size_px=(1280, 960))
+    rig = structs.replace(rig, views=(resized, rig.views[1]))
     with pytest.raises(InvalidInputError, match=r"640 × 480 px, and size_px = \[1280, 960\]"):
         run(rig, pictures)
 
 
 @pytest.mark.parametrize("k1", [-0.3, -0.25, 0.3])
-def test_a_lens_that_bends_straight_sides_is_measured(k1):
+def test_lens_distortion_is_estimated_from_straight_sides(k1):
     simulated = SimulatedRig(
         Placement(distance_m=0.75, f_px=640.0, k1=(k1,)), background=SHEET_ON_WOOD
     )
@@ -234,11 +234,11 @@ def test_a_lens_that_bends_straight_sides_is_measured(k1):
     bends = Scenery(rig, pictures).bends()
     assert set(bends) == {0, 1}
     for bend in bends.values():
-        # Of one focal length or another: k1 goes with its square.
+        # The focal length is assumed, and k1 is proportional to its square.
         assert bend.lens.k1 * (640.0 / bend.lens.fx) ** 2 == pytest.approx(k1, abs=0.08)
 
 
-def test_ellipses_hold_through_a_lens_that_nobody_told_of():
+def test_ellipses_hold_with_an_uncorrected_lens():
     simulated = SimulatedRig(
         Placement(distance_m=0.75, f_px=640.0, k1=(-0.25,)), background=SHEET_ON_WOOD
     )

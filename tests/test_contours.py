@@ -1,11 +1,11 @@
-"""The parts of the active contour, as they are offered to those who build something of them."""
+"""The parts of the active contour, for use by themselves."""
 
 import numpy as np
 
 from fingerpost import contours
 
 
-def test_the_iteration_of_the_example_finds_the_finger():
+def test_the_example_converges_to_the_finger():
     lines = contours.__doc__.splitlines()
     names = {}
     exec("\n".join(line[4:] for line in lines if line.startswith((">>> ", "... "))), names)

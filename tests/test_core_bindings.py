@@ -1,7 +1,7 @@
 """`fingerpost._core` from Python: conversion, errors, memory and threads.
 
-The stages themselves have tests of their own in Rust; here each meets an oracle of Python's once
-(SciPy, NumPy, OpenCV), so that no argument or column is mixed up on the way.
+The stages have tests of their own in Rust. Here each is compared once with an oracle in Python
+(SciPy, NumPy, OpenCV), so that no argument or column is swapped in the bindings.
 """
 
 import functools
@@ -41,24 +41,24 @@ from fingerpost._core import (
 )
 from fingerpost.errors import FingerpostError, InvalidInputError
 
-# What two right implementations of the same arithmetic may differ by, relative to the numbers.
+# Greatest relative difference between two correct implementations of the same arithmetic.
 ROUNDING = 1e-10
 
 PISTOL = Template.pistol("left")
 WAITING = StartPose((320, 240), 0.6, 90)
-# An affine map that a hand can have: turned, sheared along the finger, not mirrored.
+# A valid affine map of a hand: rotated, sheared along the finger, not mirrored.
 CENTRE_PX = np.array([311.0, 207.0])
 LINEAR_PX = np.array([[61.0, -9.0], [34.0, 72.0]])
 
 
 def grey(height: int = 480, width: int = 640) -> np.ndarray:
-    """An image with structure everywhere, so that no two places look alike."""
+    """An image with structure everywhere, so that no two places are equal."""
     rng = np.random.default_rng(1994)
     return rng.integers(0, 256, (height, width), dtype=np.uint8)
 
 
 def search(image: np.ndarray, **more: object) -> _core.SearchLines:
-    """Lines all over an image, whatever its size."""
+    """Search along lines all over an image of any size."""
     rng = np.random.default_rng(3)
     angle = rng.uniform(-np.pi, np.pi, 50)
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -67,7 +67,7 @@ def search(image: np.ndarray, **more: object) -> _core.SearchLines:
 
 
 def found(lines: _core.SearchLines) -> bytes:
-    """All that a search tells, bit by bit."""
+    """Return all results of a search, for comparison bit by bit."""
     columns = [lines.offset_px, lines.contrast_grey, lines.variance_px2, lines.separation]
     return np.stack(columns).tobytes() + lines.miss.tobytes()
 
@@ -103,7 +103,7 @@ def scipy_spline(spline: BSpline, control_points: np.ndarray) -> interpolate.BSp
 
 
 @given(splines())
-def test_open_curves_and_their_derivatives_are_scipys(drawn):
+def test_open_curves_and_their_derivatives_equal_scipys(drawn):
     spline, control_points, parameters = drawn
     oracle = scipy_spline(spline, control_points)
     curve = spline.evaluate(control_points, parameters)
@@ -116,7 +116,7 @@ def test_open_curves_and_their_derivatives_are_scipys(drawn):
 
 
 @given(splines())
-def test_basis_rows_are_scipys_design_matrix(drawn):
+def test_basis_rows_equal_scipys_design_matrix(drawn):
     spline, _, parameters = drawn
     rows = spline.basis(parameters)
     dense = np.zeros((len(parameters), spline.control_point_count))
@@ -128,7 +128,7 @@ def test_basis_rows_are_scipys_design_matrix(drawn):
 
 
 @pytest.mark.parametrize("degree", [2, 3])
-def test_closed_curves_are_scipys_on_wrapped_control_points(degree):
+def test_closed_curves_equal_scipys_on_wrapped_control_points(degree):
     rng = np.random.default_rng(degree)
     spline = BSpline.closed(degree, [0, 1, 1.5, 3, 3, 4, 6])
     control_points = rng.normal(0, 50, (spline.control_point_count, 2))
@@ -140,7 +140,7 @@ def test_closed_curves_are_scipys_on_wrapped_control_points(degree):
 
 
 @pytest.mark.parametrize("degree", [2, 3])
-def test_a_fit_is_numpys_least_squares(degree):
+def test_a_spline_fit_equals_numpys_least_squares(degree):
     rng = np.random.default_rng(10 + degree)
     spline = BSpline.open_uniform(degree, 9)
     parameters = np.sort(rng.uniform(*spline.domain, 60))
@@ -167,7 +167,7 @@ def test_computed_parameters_follow_the_polygon(word, power):
     assert fit.parameters == pytest.approx(stations * spline.domain[1])
 
 
-def test_arc_lengths_are_scipys_integrals():
+def test_arc_lengths_equal_scipys_integrals():
     rng = np.random.default_rng(8)
     spline = BSpline.open_uniform(3, 7)
     control_points = rng.normal(0, 20, (7, 2))
@@ -188,12 +188,12 @@ def test_arc_lengths_are_scipys_integrals():
     assert arc_length.parameter_at(lengths) == pytest.approx(parameters)
 
 
-def test_samples_of_a_contour_stand_in_the_middle_of_equal_steps():
+def test_samples_of_a_contour_lie_in_the_middle_of_equal_arcs():
     spline = BSpline.closed_uniform(3, 12)
     angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     circle = 50 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     control_points = spline.fit(circle, "chord-length").control_points
-    # Angles grow from +u towards +v, clockwise as an image shows it: the inside is on the right.
+    # Angles increase from +u towards +v, clockwise in the image: the inside is on the right.
     samples = sample_contour(spline, control_points, 40, "right")
     total = spline.arc_length(control_points).total
     assert samples.arc_length == pytest.approx((np.arange(40) + 0.5) / 40 * total)
@@ -209,7 +209,7 @@ def test_samples_of_a_contour_stand_in_the_middle_of_equal_steps():
 # --- templates -------------------------------------------------------------------------------
 
 
-def test_a_template_tells_what_it_is():
+def test_a_template_reports_its_thumb_hand_and_outline():
     assert (PISTOL.thumb, PISTOL.hand) == ("left", "left")
     assert Template.pistol("right").outline(80) * [1, -1] == pytest.approx(PISTOL.outline(80))
     ends = PISTOL.spline.evaluate(PISTOL.control_points, PISTOL.spline.domain).position
@@ -217,7 +217,7 @@ def test_a_template_tells_what_it_is():
     assert len(PISTOL.outline()) == ContourTracker(PISTOL, WAITING).options["samples"]
 
 
-def test_proportions_overlay_the_usual_hand():
+def test_given_proportions_replace_the_defaults():
     wide = Template.pistol("left", proportions={"half_width": 0.2, "thumb": {"length": 1.2}})
     usual = PISTOL.proportions
     assert wide.proportions == {
@@ -232,7 +232,7 @@ def test_proportions_overlay_the_usual_hand():
     assert Template.pistol("none", proportions=alone.proportions) == alone
 
 
-def test_a_traced_template_is_its_outline_in_finger_lengths():
+def test_a_traced_template_has_its_outline_in_finger_lengths():
     axis = np.array([[100.0, 200.0], [160.0, 280.0]])  # 100 long, along (0.6, 0.8)
     pq = Template.pistol("none").outline(300)
     along, middle = np.array([0.6, 0.8]), axis.mean(axis=0)
@@ -260,7 +260,7 @@ def shape_space(kind: str | int) -> tuple[ShapeSpace, np.ndarray]:
 
 
 @pytest.mark.parametrize("kind", PLANAR)
-def test_every_planar_space_holds_the_map_it_was_made_through(kind):
+def test_every_planar_space_contains_the_map_it_was_made_from(kind):
     space, x = shape_space(kind)
     assert (space.kind, space.dof, len(space.names)) == (kind, len(x), len(x))
     placed = space.place(x, PISTOL, 60)
@@ -273,7 +273,7 @@ def test_every_planar_space_holds_the_map_it_was_made_through(kind):
     assert axis.angle_rad == pytest.approx(np.arctan2(LINEAR_PX[1, 0], LINEAR_PX[0, 0]))
 
 
-def test_the_band_template_at_rest_is_the_template():
+def test_the_band_model_at_rest_is_the_template():
     space, x = ShapeSpace.ribbon(PISTOL, WAITING.centre_px, WAITING.linear_px, 9)
     placed = space.place(x, PISTOL, 60)
     at_rest = WAITING.centre_px + PISTOL.outline(60) @ WAITING.linear_px.T
@@ -282,7 +282,7 @@ def test_the_band_template_at_rest_is_the_template():
     assert space.axis(x).tip_px == pytest.approx(WAITING.tip_px)
 
 
-def test_a_thumb_laid_along_the_finger_is_hidden_in_it():
+def test_a_thumb_along_the_finger_is_partly_hidden():
     space, x = ShapeSpace.ribbon(PISTOL, WAITING.centre_px, WAITING.linear_px, 9)
     x = x.copy()
     x[6:8] = 40 * np.array([np.cos(WAITING.angle_rad), np.sin(WAITING.angle_rad)])
@@ -291,7 +291,7 @@ def test_a_thumb_laid_along_the_finger_is_hidden_in_it():
 
 
 @pytest.mark.parametrize("kind", SPACES)
-def test_jacobians_meet_central_differences(kind):
+def test_jacobians_agree_with_central_differences(kind):
     space, x = shape_space(kind)
     rng = np.random.default_rng(17)
     x = x * (1 + 0.05 * rng.normal(size=x.shape)) + 0.01
@@ -305,7 +305,7 @@ def test_jacobians_meet_central_differences(kind):
     across = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     other = space.normal_rows(x, PISTOL, 50, normal=across)
     assert other.shape == rows.shape
-    if kind in PLANAR:  # of a band only what leaves along the normal is linear in the row
+    if kind in PLANAR:  # rows of a band are valid along the contour's own normals only
         numeric = central_differences(
             lambda y: np.einsum("ij,ij->i", space.place(y, PISTOL, 50).position_px, across),
             x,
@@ -334,14 +334,14 @@ def test_jacobians_meet_central_differences(kind):
         ([[0, 0, 1, 0, 0, 1]], r"shape_vector has the shape \(1, 6\); it must be \(N,\)"),
     ],
 )
-def test_shape_vectors_of_no_hand_are_refused(vector, complaint):
+def test_invalid_shape_vectors_are_refused(vector, complaint):
     space, _ = shape_space("affine")
     for use in [space.axis, space.axis_jacobian, lambda x: space.place(x, PISTOL)]:
         with pytest.raises(InvalidInputError, match=complaint):
             use(vector)
 
 
-def test_bands_refuse_what_has_none():
+def test_the_band_model_refuses_templates_and_shapes_without_bands():
     space, x = shape_space(9)
     traced = Template.from_outline(
         PISTOL.outline(100), knuckle=(-0.5, 0), tip=(0.5, 0), hand="left"
@@ -375,7 +375,7 @@ def test_bands_refuse_what_has_none():
         ([1, 0, 0, 1], r"linear_px has the shape \(4,\); it must be \(2, 2\)"),
     ],
 )
-def test_maps_of_no_hand_are_refused(linear, complaint):
+def test_invalid_maps_are_refused(linear, complaint):
     for kind in PLANAR:
         with pytest.raises(InvalidInputError, match=complaint):
             getattr(ShapeSpace, kind)(CENTRE_PX, linear)
@@ -400,7 +400,7 @@ def disc(inside: int, outside: int, blur_px: float) -> np.ndarray:
 
 
 def lines_across(count: int, displaced_px: float) -> tuple[np.ndarray, np.ndarray]:
-    """Positions displaced outwards from the disc's edge, and outward normals."""
+    """Return positions displaced outwards from the disc's edge, and outward normals."""
     angle = 2 * np.pi * np.arange(count) / count
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return DISC_CENTRE + (DISC_RADIUS + displaced_px) * normal, normal
@@ -408,14 +408,14 @@ def lines_across(count: int, displaced_px: float) -> tuple[np.ndarray, np.ndarra
 
 @pytest.mark.parametrize("displaced_px", [-6.25, 0.0, 3.5])
 @pytest.mark.parametrize(("inside", "outside"), [(170, 90), (60, 140)])
-def test_edges_of_a_drawn_disc_are_where_they_were_drawn(displaced_px, inside, outside):
+def test_edges_of_a_drawn_disc_are_found_where_they_were_drawn(displaced_px, inside, outside):
     image = disc(inside, outside, blur_px=1.0)
     position, normal = lines_across(72, displaced_px)
     polarity = "bright" if inside > outside else "dark"
     lines = EdgeSearch().search(image, position, normal, 12.0, polarity)
     assert (lines.miss == "").all()
-    # A curved edge under blur moves inwards by (σ_b² + s²) / 2r = 0.04 px; the grey levels are
-    # rounded, and the disc's outline to a 16th of a pixel.
+    # Blur moves a curved edge inwards by (σ_b² + s²) / 2r = 0.04 px; the grey levels are rounded,
+    # and so is the disc's outline, to a 16th of a pixel.
     assert lines.offset_px == pytest.approx(-displaced_px, abs=0.08)
     assert lines.offset_px.mean() == pytest.approx(-displaced_px, abs=0.05)
     assert lines.contrast_grey == pytest.approx(inside - outside, rel=0.06)
@@ -429,7 +429,7 @@ def test_edges_of_a_drawn_disc_are_where_they_were_drawn(displaced_px, inside, o
     assert (wrong.miss == "no-contrast").all()
 
 
-def test_the_variance_is_that_of_the_offsets_under_noise():
+def test_the_variance_agrees_with_the_scatter_under_noise():
     clean = disc(160, 80, blur_px=1.0).astype(float)
     position, normal = lines_across(90, 0.0)
     rng = np.random.default_rng(404)
@@ -441,12 +441,12 @@ def test_the_variance_is_that_of_the_offsets_under_noise():
         offsets.append(lines.offset_px)
         claimed.append(lines.variance_px2)
     ratio = np.var(offsets, axis=0, ddof=1).mean() / np.mean(claimed)
-    # The claim is for white noise along the line; bilinear sampling averages neighbours, which
+    # The variance assumes white noise along the line; bilinear sampling averages neighbours, which
     # leaves about two thirds of it.
     assert 0.5 < ratio < 0.8
 
 
-def test_misses_say_why_and_are_nan():
+def test_misses_have_a_reason_and_nan_values():
     image = np.full((100, 100), 90, np.uint8)
     image[:, 60:] = 170
     position = [(30, 50), (-5, 50), (55, 50), (45.5, 50), (59.5, 50)]
@@ -481,7 +481,7 @@ def test_misses_say_why_and_are_nan():
         ({"scale": "huge"}, 'scale is \'huge\'; it must be "fine" or "coarse"'),
     ],
 )
-def test_lines_that_cannot_be_searched_are_refused(changed, complaint):
+def test_invalid_search_lines_are_refused(changed, complaint):
     arguments = {
         "image": grey(),
         "position_px": [[100, 100], [200, 200]],
@@ -494,16 +494,16 @@ def test_lines_that_cannot_be_searched_are_refused(changed, complaint):
         EdgeSearch().search(**{**arguments, **changed})
 
 
-def test_a_coarse_kernel_sees_a_smeared_edge_that_a_fine_one_cannot():
+def test_a_coarse_kernel_finds_a_blurred_edge_that_a_fine_one_misses():
     step = np.full((40, 200), 20, np.uint8)
     step[:, 100:] = 180
     image = cv2.GaussianBlur(step, (0, 0), 12.0)
     line = {"position_px": [[95.0, 20.0]], "normal": [[1.0, 0.0]], "half_length_px": 30.0}
-    # A kernel s answers a step of contrast A and blur b with A s / √(s² + b²): 21 and 51 here.
+    # The response of a kernel s to a step of contrast A and blur b is A s / √(s² + b²): 21 and 51.
     search = EdgeSearch({"min_contrast_grey": 35.0, "blur_px": 0.0, "scale_px": 1.6})
     assert search.search(image, **line, polarity="dark").miss[0] == "no-contrast"
     coarse = search.search(image, **line, polarity="dark", scale="coarse")
-    # So wide an edge changes by less than a grey level a pixel at its top.
+    # The top of an edge this wide changes by less than a grey level per pixel.
     assert coarse.offset_px == pytest.approx([4.5], abs=0.2)
     assert coarse.contrast_grey == pytest.approx([-51], rel=0.05)
 
@@ -512,7 +512,7 @@ def test_a_coarse_kernel_sees_a_smeared_edge_that_a_fine_one_cannot():
 
 
 @pytest.mark.parametrize("unknowns", range(1, 10))
-def test_plain_least_squares_are_numpys(unknowns):
+def test_plain_least_squares_equal_numpys(unknowns):
     rng = np.random.default_rng(100 + unknowns)
     rows, offsets = rng.normal(size=(60, unknowns)), rng.normal(size=60)
     variances = rng.uniform(0.5, 2.0, 60)
@@ -531,7 +531,7 @@ def test_plain_least_squares_are_numpys(unknowns):
     assert (report.weight == 1).all()
 
 
-def test_gross_errors_lose_their_weight():
+def test_gross_errors_get_no_weight():
     rng = np.random.default_rng(77)
     rows, truth = rng.normal(size=(80, 4)), np.array([3.0, -2.0, 0.5, 1.0])
     offsets = rows @ truth + rng.normal(0, 0.1, 80)
@@ -546,7 +546,7 @@ def test_gross_errors_lose_their_weight():
     assert abs(plain.step - truth).max() > 0.5
 
 
-def test_a_prior_counts_as_its_information_says():
+def test_a_prior_is_weighted_by_its_information():
     rng = np.random.default_rng(5)
     rows, offsets, variances = rng.normal(size=(30, 3)), rng.normal(size=30), np.ones(30)
     half = rng.normal(size=(3, 3))
@@ -559,7 +559,7 @@ def test_a_prior_counts_as_its_information_says():
     assert alone.step == pytest.approx(mean)
 
 
-def test_the_two_stage_solve_takes_translation_first():
+def test_the_two_stage_solve_fits_the_translation_first():
     rng = np.random.default_rng(9)
     rows, offsets, variances = rng.normal(size=(40, 4)), rng.normal(size=40), np.ones(40)
     fitter = Fitter({"loss": "none", "solve": "two-stage"})
@@ -569,7 +569,7 @@ def test_the_two_stage_solve_takes_translation_first():
     assert report.step == pytest.approx([*translation, *rest])
 
 
-def test_open_directions_are_reported_not_chosen():
+def test_undetermined_directions_are_reported():
     rows = np.tile([[1.0, 2.0, 0.0]], (10, 1))
     report = Fitter().solve(rows, np.ones(10), np.ones(10))
     assert (report.outcome, report.rank) == ("undetermined", 1)
@@ -597,7 +597,7 @@ def test_open_directions_are_reported_not_chosen():
         ({"prior": ([0, 0], [[1, 0], [0, -1]])}, "least eigenvalue is -1"),
     ],
 )
-def test_equations_that_mean_nothing_are_refused(changed, complaint):
+def test_invalid_equations_are_refused(changed, complaint):
     arguments = {"rows": np.eye(2)[[0, 1, 0, 1]], "offset_px": np.ones(4), "variance_px2": [1] * 4}
     Fitter().solve(**arguments)
     with pytest.raises(InvalidInputError, match=complaint):
@@ -614,13 +614,13 @@ STAGES: list[Callable[..., object]] = [
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_options_in_force_make_the_same_stage_again(stage):
+def test_reported_options_make_the_same_stage_again(stage):
     options = stage().options
     assert stage(options).options == options
     assert stage({}).options == options
 
 
-def test_an_option_replaces_its_default_and_nothing_else():
+def test_an_option_replaces_its_own_default_only():
     usual = ContourTracker(PISTOL, WAITING).options
     changed = ContourTracker(
         PISTOL,
@@ -664,7 +664,7 @@ def test_an_option_replaces_its_default_and_nothing_else():
         ([], "options is .*; it must be a dictionary"),
     ],
 )
-def test_options_that_are_none_are_refused_with_their_path(options, complaint):
+def test_invalid_options_are_refused_with_their_path(options, complaint):
     with pytest.raises(InvalidInputError, match=complaint):
         ContourTracker(PISTOL, WAITING, options)
 
@@ -678,7 +678,7 @@ def test_options_that_are_none_are_refused_with_their_path(options, complaint):
         ({"thumb": None}, "proportions.thumb is None; it must be a dictionary"),
     ],
 )
-def test_proportions_of_no_hand_are_refused(proportions, complaint):
+def test_invalid_proportions_are_refused(proportions, complaint):
     with pytest.raises(InvalidInputError, match=complaint):
         Template.pistol("left", proportions=proportions)
     with pytest.raises(InvalidInputError, match=r"proportions\.thumb is given"):
@@ -689,7 +689,7 @@ def test_proportions_of_no_hand_are_refused(proportions, complaint):
 
 
 @pytest.mark.parametrize(
-    "alike",
+    "converted",
     [
         lambda knots: knots.tolist(),
         lambda knots: tuple(knots),
@@ -698,14 +698,14 @@ def test_proportions_of_no_hand_are_refused(proportions, complaint):
         lambda knots: knots.astype(">f8"),
         lambda knots: np.repeat(knots, 2)[::2],
         lambda knots: knots[::-1].copy()[::-1],
-        # A column of records: 12 bytes apart, which is no multiple of 8, and not aligned.
+        # A column of records: unaligned, with a stride of 12 bytes, no multiple of 8.
         lambda knots: np.rec.fromarrays([np.ones(len(knots), "f4"), knots])["f1"],
         lambda knots: np.ma.array(knots),
     ],
 )
-def test_anything_that_numpy_reads_as_real_numbers_will_do(alike):
+def test_anything_that_numpy_reads_as_real_numbers_is_accepted(converted):
     knots = np.array([0, 0, 0, 0, 1, 2, 2, 3, 3, 3, 3.0])
-    assert BSpline.open(3, alike(knots)) == BSpline.open(3, knots)
+    assert BSpline.open(3, converted(knots)) == BSpline.open(3, knots)
 
 
 @pytest.mark.parametrize(
@@ -722,7 +722,7 @@ def test_anything_that_numpy_reads_as_real_numbers_will_do(alike):
         ([0, 0, 0, np.nan, 1, 1], "knot 3 has NaN; it must be finite"),
     ],
 )
-def test_what_is_no_array_of_real_numbers_is_refused(knots, complaint):
+def test_arrays_without_real_numbers_are_refused(knots, complaint):
     with pytest.raises(InvalidInputError, match=complaint):
         BSpline.open(2, knots)
 
@@ -745,7 +745,7 @@ HUGE = [2**20 + 1, 2**31, 2**62, 2**63, 2**64 - 1]
 
 
 @pytest.mark.parametrize("count", [*HUGE, 2**64, 10**30, -1, 2.5, "9", None, True])
-def test_counts_that_no_memory_holds_are_refused_before_it_is_tried(count):
+def test_invalid_and_excessive_counts_are_refused_before_allocation(count):
     spline = BSpline.open_uniform(3, 4)
     control_points = np.arange(8.0).reshape(4, 2) ** 2
     space, x = shape_space(9)
@@ -768,14 +768,14 @@ def test_counts_that_no_memory_holds_are_refused_before_it_is_tried(count):
     for name, calls in makers.items():
         for call in calls:
             if count is None and name == "samples" and call not in calls[:2]:
-                continue  # None stands for the usual number there
+                continue  # None is the default there
             if count is None and call is makers["control_points"][2]:
                 continue
             with pytest.raises(InvalidInputError, match=f"^{name} is "):
                 call()
 
 
-def test_a_fit_that_no_memory_holds_is_refused():
+def test_a_fit_that_exceeds_memory_is_refused():
     outline = np.random.default_rng(0).normal(size=(20000, 2))
     with pytest.raises(InvalidInputError, match="20000 outline points for 10000 control points"):
         BSpline.open_uniform(3, 10000).fit(outline, "chord-length")
@@ -804,19 +804,19 @@ def test_other_degrees_are_refused(degree):
         (((1, 2), 0, None), "length_px is None"),
     ],
 )
-def test_poses_that_no_hand_has_are_refused(pose, complaint):
+def test_invalid_start_poses_are_refused(pose, complaint):
     with pytest.raises(InvalidInputError, match=complaint):
         StartPose(*pose)
 
 
-def test_a_start_pose_is_the_map_of_its_template():
+def test_a_start_pose_gives_the_map_of_its_template():
     start = StartPose(np.array([100, 50]), np.pi / 2, 40)
     assert start == StartPose((100, 50), np.pi / 2, 40.0)
     assert start.centre_px == pytest.approx([100, 30])
     assert start.linear_px == pytest.approx(np.array([[0, -40], [40, 0]]))
 
 
-def test_everything_shows_itself():
+def test_every_object_has_a_repr():
     space, x = shape_space("rigid_shear")
     tracker = ContourTracker(PISTOL, WAITING)
     spline = BSpline.open_uniform(3, 4)
@@ -848,7 +848,7 @@ def test_everything_shows_itself():
         assert repr(thing).startswith(start)
 
 
-# --- images where they lie -------------------------------------------------------------------
+# --- images without a copy -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -879,7 +879,7 @@ def test_strided_views_are_read_as_their_contiguous_copies(lay):
 def test_strided_colours_are_read_as_their_contiguous_copies(lay):
     image = grey(80, 100)
     colour = np.random.default_rng(55).integers(0, 256, (80, 100, 3), dtype=np.uint8)
-    colour[30:50] //= 4  # something to be a band
+    colour[30:50] //= 4  # a band
     likeness = HandFinder.likeness(image, (60.0, 40.0), 0.3, 6.0, colour=colour)
     assert likeness is not None
     assert HandFinder.likeness(image, (60.0, 40.0), 0.3, 6.0, colour=lay(colour)) == likeness
@@ -900,7 +900,7 @@ def test_strided_colours_are_read_as_their_contiguous_copies(lay):
         np.lib.stride_tricks.as_strided(grey(1, 9), (1, 9), (2**62, 1)),
     ],
 )
-def test_axes_of_one_entry_have_any_stride(image):
+def test_axes_of_one_entry_may_have_any_stride(image):
     assert found(search(image)) == found(search(np.array(image)))
 
 
@@ -921,7 +921,7 @@ def test_axes_of_one_entry_have_any_stride(image):
         (None, "of <class 'NoneType'>"),
     ],
 )
-def test_what_is_no_grey_image_is_refused(image, given):
+def test_arrays_that_are_no_grey_image_are_refused(image, given):
     needed = r"it must be a uint8 array \(height, width\), or \(height, width, 3\) in colour$"
     with pytest.raises(InvalidInputError, match=f"^image is .*{given}.*; {needed}"):
         ContourTracker(PISTOL, WAITING).update(image, 0.0)
@@ -944,7 +944,7 @@ def test_what_is_no_grey_image_is_refused(image, given):
         np.lib.stride_tricks.as_strided(grey(1, 100), (5, 11), (10, 1)),
     ],
 )
-def test_rows_that_do_not_follow_one_another_are_refused(image):
+def test_non_contiguous_rows_are_refused(image):
     complaint = r"^image is .* strides \(.*rows are contiguous.*numpy.ascontiguousarray"
     with pytest.raises(InvalidInputError, match=complaint):
         search(image)
@@ -974,13 +974,13 @@ def test_images_without_pixels_are_refused(shape):
         (np.zeros((0, 640, 3), np.uint8), "0 px"),
     ],
 )
-def test_colours_that_are_not_of_the_frame_are_refused(colour, complaint):
+def test_colours_that_do_not_match_the_frame_are_refused(colour, complaint):
     with pytest.raises(InvalidInputError, match=complaint):
         ContourTracker(PISTOL, WAITING).update(grey(), 0.0, colour)
 
 
 @pytest.mark.parametrize("shape", [(1, 2**15), (2**15, 1)])
-def test_frames_beyond_fixed_point_are_refused(shape):
+def test_frames_beyond_the_fixed_point_range_are_refused(shape):
     tracker = ContourTracker(PISTOL, WAITING)
     with pytest.raises(InvalidInputError, match="32767 px"):
         tracker.update(np.zeros(shape, np.uint8), 1.0)
@@ -989,8 +989,8 @@ def test_frames_beyond_fixed_point_are_refused(shape):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc and RLIMIT_AS")
 def test_images_are_not_copied(tmp_path: Path) -> None:
-    # Sparse files of 2 GiB and 3 GiB as images, and hardly any memory left beside them: whatever
-    # copied one, or one row in sixty, would fail.
+    # Sparse files of 2 GiB and 3 GiB as images, and hardly any memory left: a copy of one, or of
+    # one row in sixty, would fail.
     program = f"""
         import re, resource
         from pathlib import Path
@@ -1023,15 +1023,15 @@ def test_images_are_not_copied(tmp_path: Path) -> None:
     assert (done.stdout, done.stderr) == (3 * "acquiring acquiring\n", "")
 
 
-# --- where a hand may be, and what is behind it ----------------------------------------------
+# --- bands, round fingers and the background -------------------------------------------------
 
 
-def test_a_band_is_given_by_any_numbers_that_are_some():
+def test_a_band_may_be_given_by_any_numeric_types():
     image = grey(80, 100)
-    told = HandFinder.likeness(image, (60.0, 40.0), 0.3, 6.0)
-    assert told is not None
+    score = HandFinder.likeness(image, (60.0, 40.0), 0.3, 6.0)
+    assert score is not None
     for tip in [[60, 40], np.array([60, 40]), np.array([60.0, 40.0], np.float32)]:
-        assert HandFinder.likeness(image, tip, np.float64(0.3), 6) == told
+        assert HandFinder.likeness(image, tip, np.float64(0.3), 6) == score
 
 
 @pytest.mark.parametrize(
@@ -1047,22 +1047,22 @@ def test_a_band_is_given_by_any_numbers_that_are_some():
         (((60, 40), 0.3, -1), "is -1; it must be"),
     ],
 )
-def test_a_band_that_is_none_is_refused(band, complaint):
+def test_invalid_bands_are_refused(band, complaint):
     with pytest.raises(InvalidInputError, match=complaint):
         HandFinder.likeness(grey(80, 100), *band)
 
 
-def test_a_round_finger_is_given_by_any_numbers_that_are_some():
+def test_a_round_finger_may_be_given_by_any_numeric_types():
     image = grey(160, 200)
     finger = RoundFinger.fit(image, (110.0, 80.0), (140.0, 80.0), 8.0)
     assert finger is not None
-    told = finger.offset_px, finger.turn_rad, finger.half_width_px, finger.misfit
-    assert np.isfinite(told).all()
+    fitted = finger.offset_px, finger.turn_rad, finger.half_width_px, finger.misfit
+    assert np.isfinite(fitted).all()
     assert finger.misfit <= finger.misfit_about_given
     assert repr(finger).startswith(f"RoundFinger(offset_px={finger.offset_px:.2f}, turn_rad=")
     same = RoundFinger.fit(image, [110, 80], np.array([140, 80]), np.float64(8))
     assert (same.offset_px, same.misfit) == (finger.offset_px, finger.misfit)
-    # Grey levels three times are colours that tell the same of each.
+    # Three equal channels add the same residuals three times.
     colour = np.repeat(image[..., None], 3, axis=2)
     assert RoundFinger.fit(image, (110, 80), (140, 80), 8, colour).misfit > finger.misfit
     assert RoundFinger.fit(image, (20, 80), (50, 80), 8) is None
@@ -1080,7 +1080,7 @@ def test_a_round_finger_is_given_by_any_numbers_that_are_some():
         (((60, 40), (90, 40), -1), "is -1; it must be"),
     ],
 )
-def test_a_round_finger_that_is_none_is_refused(finger, complaint):
+def test_invalid_round_fingers_are_refused(finger, complaint):
     with pytest.raises(InvalidInputError, match=complaint):
         RoundFinger.fit(grey(80, 100), *finger)
 
@@ -1096,7 +1096,7 @@ def test_a_round_finger_that_is_none_is_refused(finger, complaint):
         (((1, 2), (3, 4), "5"), r"{what}\[2\] is '5'; it must be a real number"),
     ],
 )
-def test_a_part_of_an_image_that_is_none_is_refused(part, complaint):
+def test_invalid_image_parts_are_refused(part, complaint):
     background, image = Background(), grey(48, 64)
     for what, call in [
         ("keep_out", lambda: background.observe(image, keep_out=part)),
@@ -1114,7 +1114,7 @@ SCHEDULES = ["by-need", "in-turn", "side-by-side", None]
 
 
 def learned(image: np.ndarray) -> Background:
-    """The background that an image of nothing else shows."""
+    """Return a background model learned from one image."""
     background = Background()
     for _ in range(40):
         background.observe(image)
@@ -1122,7 +1122,7 @@ def learned(image: np.ndarray) -> Background:
 
 
 def fingers(frames: int) -> Iterator[list[np.ndarray]]:
-    """Three views of a finger that waits at the start and moves away; the last one loses it."""
+    """Yield three views of a finger that moves away from the start; it leaves the last view."""
     rng = np.random.default_rng(50)
     for k in range(frames):
         images = []
@@ -1143,8 +1143,8 @@ def finger_trackers() -> list[ContourTracker]:
     return [ContourTracker(template, start) for _ in range(3)]
 
 
-def told(track: _core.Track | FingerpostError) -> tuple[object, ...]:
-    """All that a track tells, bit by bit."""
+def contents(track: _core.Track | FingerpostError) -> tuple[object, ...]:
+    """Return a track's contents, for comparison bit by bit."""
     assert isinstance(track, _core.Track)
     line, shape = track.finger_line, track.shape_vector
     return (
@@ -1156,7 +1156,7 @@ def told(track: _core.Track | FingerpostError) -> tuple[object, ...]:
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_views_updated_in_one_call_are_those_updated_alone(schedule):
+def test_views_updated_in_one_call_equal_those_updated_alone(schedule):
     together, alone = finger_trackers(), finger_trackers()
     background, seen = learned(np.full((480, 640), 60, np.uint8)), set()
     for k, images in enumerate(fingers(24)):
@@ -1166,7 +1166,7 @@ def test_views_updated_in_one_call_are_those_updated_alone(schedule):
         views = list(zip(together, images, [k / 30] * 3, colours, behind, strict=True))
         tracks = update_views(views, schedule=schedule)
         for (_, *frame, known), tracker, track in zip(views, alone, tracks, strict=True):
-            assert told(track) == told(tracker.update(*frame, background=known))
+            assert contents(track) == contents(tracker.update(*frame, background=known))
         seen.update(track.status for track in tracks)
     assert seen == {"acquiring", "tracking", "lost"}
 
@@ -1183,22 +1183,22 @@ def test_views_updated_in_one_call_are_those_updated_alone(schedule):
         ({"background": learned(np.zeros((48, 64), np.uint8))}, "64 × 48 px and the frame 640"),
     ],
 )
-def test_the_error_of_one_view_costs_no_other_its_track(entry, words, schedule):
+def test_an_error_in_one_view_leaves_the_other_tracks(entry, words, schedule):
     images = next(fingers(1))
     trackers, alone = finger_trackers(), finger_trackers()
     views = [(t, i, 0.0, None, None) for t, i in zip(trackers, images, strict=True)]
     bad = {"image": images[1], "time_s": 0.0, "colour": None, "background": None} | entry
     views[1] = (trackers[1], bad["image"], bad["time_s"], bad["colour"], bad["background"])
     first, refused, last = update_views(views, schedule=schedule)
-    assert told(first) == told(alone[0].update(images[0], 0.0))
-    assert told(last) == told(alone[2].update(images[2], 0.0))
+    assert contents(first) == contents(alone[0].update(images[0], 0.0))
+    assert contents(last) == contents(alone[2].update(images[2], 0.0))
     with pytest.raises(InvalidInputError, match=words):
         raise refused
     # The tracker is as it was before.
-    assert told(trackers[1].update(images[1], 0.0)) == told(alone[1].update(images[1], 0.0))
+    assert contents(trackers[1].update(images[1], 0.0)) == contents(alone[1].update(images[1], 0.0))
 
 
-def test_a_tracker_that_comes_twice_is_updated_once():
+def test_a_tracker_given_twice_is_updated_once():
     tracker, image = ContourTracker(PISTOL, WAITING), grey()
     first, second = update_views([(tracker, image, 0.0, None, None)] * 2)
     assert first.status == "acquiring"
@@ -1207,16 +1207,16 @@ def test_a_tracker_that_comes_twice_is_updated_once():
     assert tracker.update(image, 0.0).status == "acquiring"
 
 
-def test_no_views_have_no_tracks():
+def test_an_update_of_no_views_returns_no_tracks():
     assert update_views([]) == []
 
 
-def test_a_schedule_is_one_of_three():
+def test_an_unknown_schedule_is_refused():
     with pytest.raises(InvalidInputError, match=r'^schedule is .often.; it must be "by-need", '):
         update_views([], schedule="often")
 
 
-def test_views_of_other_entries_are_refused_before_any_is_updated():
+def test_malformed_views_are_refused_before_any_update():
     tracker, image = ContourTracker(PISTOL, WAITING), grey()
     good = (tracker, image, 1.0, None, None)
     with pytest.raises(InvalidInputError, match=r"^views\[1\] has 3 entries"):
@@ -1231,7 +1231,7 @@ def test_views_of_other_entries_are_refused_before_any_is_updated():
 
 @contextmanager
 def no_forced_switches() -> Iterator[None]:
-    """Threads keep the GIL until they give it away themselves."""
+    """Make threads keep the GIL until they release it themselves."""
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1000.0)
     try:
@@ -1240,12 +1240,12 @@ def no_forced_switches() -> Iterator[None]:
         sys.setswitchinterval(interval)
 
 
-def meet(calls: list[Callable[[], object]], rounds: int = 2000) -> bool:
-    """Whether two threads are ever inside their calls at once.
+def overlap(calls: list[Callable[[], object]], rounds: int = 2000) -> bool:
+    """Return whether two threads are ever inside their calls at once.
 
-    No thread loses the GIL to another unless it gives it away, so they only meet if a call
-    releases it: if it does not, never; if it does, within a few rounds, whatever the load. Rests
-    of one length would keep two threads in step that miss each other.
+    No thread loses the GIL unless it releases it, so they overlap only if a call releases it:
+    otherwise never; if it does, within a few rounds under any load. The pauses are random: equal
+    ones could keep two threads in step without overlap.
     """
     inside: list[int] = []
     met: list[bool] = []
@@ -1256,7 +1256,7 @@ def meet(calls: list[Callable[[], object]], rounds: int = 2000) -> bool:
         for _ in range(rounds):
             if met:
                 return
-            time.sleep(random.uniform(0.0, 0.001))  # outside the call the others have a chance
+            time.sleep(random.uniform(0.0, 0.001))  # outside the call, let other threads run
             if inside:
                 met.append(True)
             inside.append(1)
@@ -1274,11 +1274,11 @@ def meet(calls: list[Callable[[], object]], rounds: int = 2000) -> bool:
     return bool(met)
 
 
-def test_threads_that_keep_the_gil_never_meet():
+def test_threads_that_keep_the_gil_never_overlap():
     def keep() -> None:
         sum(range(2000))
 
-    assert not meet([keep, keep], rounds=200)
+    assert not overlap([keep, keep], rounds=200)
 
 
 def heavy_calls() -> dict[str, Callable[[], object]]:
@@ -1318,13 +1318,13 @@ def heavy_calls() -> dict[str, Callable[[], object]]:
 @pytest.mark.parametrize("name", heavy_calls())
 def test_heavy_calls_release_the_gil(name):
     call = heavy_calls()[name]
-    assert meet([call, call])
+    assert overlap([call, call])
 
 
 def test_two_trackers_run_in_parallel_threads():
     image = grey()
     first, second = ContourTracker(PISTOL, WAITING), ContourTracker(PISTOL, WAITING)
-    assert meet([lambda: first.update(image, 0.0), lambda: second.update(image, 0.0)], rounds=40)
+    assert overlap([lambda: first.update(image, 0.0), lambda: second.update(image, 0.0)], rounds=40)
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
@@ -1334,7 +1334,7 @@ def test_two_rigs_run_in_parallel_threads(schedule):
         [(ContourTracker(PISTOL, WAITING), image, 0.0, None, None) for _ in "lr"] for _ in range(2)
     ]
     calls = [functools.partial(update_views, rig, schedule=schedule) for rig in rigs]
-    assert meet(calls, rounds=40)
+    assert overlap(calls, rounds=40)
 
 
 @pytest.mark.parametrize(
@@ -1348,7 +1348,7 @@ def test_two_rigs_run_in_parallel_threads(schedule):
         repr,
     ],
 )
-def test_one_tracker_in_two_threads_says_so_and_goes_on(use):
+def test_concurrent_use_of_one_tracker_is_refused_and_leaves_it_usable(use):
     tracker, image = ContourTracker(PISTOL, WAITING), grey()
     complaints: list[str] = []
 
@@ -1364,10 +1364,10 @@ def test_one_tracker_in_two_threads_says_so_and_goes_on(use):
         except FingerpostError as error:
             complaints.append(str(error))
 
-    # One that is about to leave its call, or has only entered it, uses the tracker no more, or not
-    # yet: the threads are inside at once, and nobody complains.
+    # A thread that is entering or leaving its call does not use the tracker, so an overlap may go
+    # without a complaint.
     for _ in range(200):
-        assert meet([update, disturb], rounds=40)
+        assert overlap([update, disturb], rounds=40)
         if complaints:
             break
     assert set(complaints) == {
@@ -1377,7 +1377,7 @@ def test_one_tracker_in_two_threads_says_so_and_goes_on(use):
     assert tracker.update(image, 1.0).status == "acquiring"
 
 
-# --- whatever comes --------------------------------------------------------------------------
+# --- arbitrary input -------------------------------------------------------------------------
 
 numbers = st.floats() | st.integers() | st.sampled_from([0.0, -0.0, 1e-320, 1e308, 2**63, -(2**70)])
 
@@ -1388,7 +1388,7 @@ numbers = st.floats() | st.integers() | st.sampled_from([0.0, -0.0, 1e-320, 1e30
     st.integers(-1, 5),
     st.lists(numbers, max_size=12),
 )
-def test_any_knots_make_a_spline_or_an_error(make, degree, knots):
+def test_any_knots_give_a_spline_or_an_error(make, degree, knots):
     try:
         spline = make(degree, knots)
     except InvalidInputError:
@@ -1399,7 +1399,7 @@ def test_any_knots_make_a_spline_or_an_error(make, degree, knots):
 
 @settings(max_examples=200)
 @given(st.lists(numbers, min_size=6, max_size=6), st.sampled_from(SPACES))
-def test_any_map_makes_a_finite_contour_or_an_error(values, kind):
+def test_any_map_gives_a_finite_contour_or_an_error(values, kind):
     centre, linear = values[:2], np.array(values[2:], dtype=object).reshape(2, 2).tolist()
     try:
         if isinstance(kind, int):

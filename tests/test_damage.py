@@ -1,6 +1,6 @@
-"""Damaged pictures are lost, and sound ones are not.
+"""Damaged pictures become losses, and sound ones do not.
 
-Films are written, damaged in their files, and read; what the intact film shows is the truth.
+Films are written, damaged in their files, and read; the pictures of the intact film are the truth.
 """
 
 import os
@@ -20,7 +20,7 @@ from fingerpost.capture.video import Chain
 from fingerpost.errors import CaptureError, SourceError
 
 COUNT = 60
-# What a picture that its decoder has mended differs by somewhere; one that is sound does nowhere.
+# Greatest difference of a sound picture from the truth; one with concealed errors exceeds it.
 SEEN_LEVELS = 12
 TS_PACKET = 188
 
@@ -37,14 +37,14 @@ def lost(path: Path) -> int:
 
 
 def overwritten(data: bytes, at: float, length: int) -> bytes:
-    """Noise over a stretch of a file that begins at this part of it."""
+    """Overwrite `length` bytes with noise, from the part `at` of a file on."""
     noise = np.random.default_rng(1).integers(0, 256, length, dtype=np.uint8).tobytes()
     start = int(at * len(data))
     return data[:start] + noise + data[start + length :]
 
 
 def without_packets(data: bytes, at: float, count: int) -> bytes:
-    """Leave out packets of an MPEG transport stream, as a network does."""
+    """Remove packets of an MPEG transport stream, as a network loses them."""
     start = int(at * len(data)) // TS_PACKET * TS_PACKET
     return data[:start] + data[start + count * TS_PACKET :]
 
@@ -62,7 +62,7 @@ def without_packets(data: bytes, at: float, count: int) -> bytes:
     ],
 )
 @pytest.mark.parametrize("at", [0.35, 0.62])
-def test_what_damage_reaches_is_lost_and_all_else_is_shown(
+def test_damaged_pictures_are_lost_and_all_others_agree_with_the_truth(
     tmp_path, name, fourcc, damaged, amount, at
 ):
     path = write_film(tmp_path / name, textured(COUNT), fourcc)
@@ -78,11 +78,11 @@ def test_what_damage_reaches_is_lost_and_all_else_is_shown(
     for frame in frames:
         true = truth[round(1000 * frame.time_s)]
         assert cv2.absdiff(frame.image, true).max() <= SEEN_LEVELS, frame.index
-    # The next picture that is coded by itself comes twelve later at most; mended once, it is two.
+    # Key frames are at most twelve apart; if one has concealed errors, the loss lasts to the next.
     assert len(frames) >= COUNT - 30
 
 
-def test_a_chain_is_whole_again_with_a_picture_that_is_coded_by_itself():
+def test_a_chain_is_sound_again_from_a_key_frame_on():
     def sound(kinds: str, complaints: set[int]) -> str:
         chain = Chain()
         took = [chain.take(kind, complained=k in complaints) for k, kind in enumerate(kinds)]
@@ -91,7 +91,7 @@ def test_a_chain_is_whole_again_with_a_picture_that_is_coded_by_itself():
     assert sound("IPPIPP", {1}) == "s..sss"
     assert sound("IPPIPP", {3}) == "sss..."
     assert sound("IIII", {1}) == "s.ss"
-    # Two pictures wait for one after them: the complaint may be of the picture coded by itself.
+    # Two B pictures delay the decoder's output: the complaint may concern the I picture.
     assert sound("IBBPIBBPIBBP", {3}) == "sss....." + "ssss"
     assert sound("IBBPPPPIBBP", {4}) == "ssss..." + "...."
 
@@ -100,7 +100,7 @@ def test_a_chain_is_whole_again_with_a_picture_that_is_coded_by_itself():
 @pytest.mark.parametrize(
     "kind", ["dark", "night", "lens cap, then light", "still drawing", "plain wall", "all white"]
 )
-def test_sound_pictures_of_any_kind_are_not_called_damaged(tmp_path, kind, fourcc):
+def test_sound_pictures_of_any_kind_are_not_lost(tmp_path, kind, fourcc):
     width, height = 160, 128
     rng = np.random.default_rng(2)
 
@@ -126,7 +126,7 @@ def test_sound_pictures_of_any_kind_are_not_called_damaged(tmp_path, kind, fourc
     assert lost(tmp_path / "*.png") == 0
 
 
-def test_a_picture_that_is_filled_up_is_lost_where_others_are_not(tmp_path):
+def test_a_partly_filled_picture_among_whole_ones_is_lost(tmp_path):
     pictures = textured(4)
     pictures[2][70:] = 128
     for number, picture in enumerate(pictures):
@@ -136,7 +136,7 @@ def test_a_picture_that_is_filled_up_is_lost_where_others_are_not(tmp_path):
     assert seen[2] == Loss(2, 2 / 25, "its picture is damaged")
 
 
-def test_what_decoders_fill_in_is_one_level_over_the_lowest_eighth():
+def test_a_filled_picture_has_one_level_over_its_lowest_eighth():
     picture = textured(1)[0]
     assert not ends_filled(picture)
     for level in ((128, 128, 128), (127, 128, 129), (0, 135, 0)):
@@ -148,7 +148,7 @@ def test_what_decoders_fill_in_is_one_level_over_the_lowest_eighth():
         assert not ends_filled(filled)
 
 
-def test_a_jpeg_that_its_decoder_mends_is_lost(tmp_path):
+def test_a_jpeg_with_concealed_errors_is_lost(tmp_path):
     for number, picture in enumerate(textured(3)):
         cv2.imwrite(str(tmp_path / f"{number}.jpg"), picture)
     middle = tmp_path / "1.jpg"
@@ -156,7 +156,7 @@ def test_a_jpeg_that_its_decoder_mends_is_lost(tmp_path):
     assert [type(entry) for entry in read(tmp_path / "*.jpg")] == [Frame, Loss, Frame]
 
 
-def test_a_film_without_a_sound_picture_is_an_error_that_says_so(tmp_path):
+def test_a_film_without_a_sound_picture_is_an_error(tmp_path):
     path = write_film(tmp_path / "a.mp4", textured(10), "mp4v")
     path.write_bytes(overwritten(path.read_bytes(), 0.1, 300))
     with pytest.raises(CaptureError, match=r"a\.mp4: no picture is sound: 10 of 10 pictures are"):
@@ -164,7 +164,7 @@ def test_a_film_without_a_sound_picture_is_an_error_that_says_so(tmp_path):
 
 
 def interlaced(data: bytes) -> bytes:
-    """Mark an MPEG-2 film as interlaced: the flags of its sequence and of each picture."""
+    """Mark an MPEG-2 film as interlaced, in the flags of its sequence and of each picture."""
     changed = bytearray(data)
     start = -1
     while (start := data.find(b"\0\0\1\xb5", start + 1)) >= 0:
@@ -181,10 +181,10 @@ import cv2, numpy
 _, first = cv2.VideoCapture("a film.mpg").read()
 print(numpy.corrcoef(first.ravel(), numpy.load("first.npy").ravel())[0, 1])
 """
-"""In a process of its own: an old picture in a decoder's memory would pass for one."""
+"""Run in a process of its own: a decoder may return an old picture left in its memory."""
 
 
-def test_interlaced_video_is_read_or_refused_with_the_remedy_and_never_black(tmp_path):
+def test_interlaced_video_is_read_or_refused_with_a_remedy(tmp_path):
     pictures = textured(10)
     path = write_film(tmp_path / "a film.mpg", pictures, "mpg2")
     path.write_bytes(interlaced(path.read_bytes()))
@@ -201,7 +201,7 @@ def test_interlaced_video_is_read_or_refused_with_the_remedy_and_never_black(tmp
     assert str(raised.value) == remedy
 
 
-def test_a_codec_that_cannot_be_decoded_is_named_with_the_remedy(tmp_path):
+def test_an_unsupported_codec_is_named_with_a_remedy(tmp_path):
     path = write_film(tmp_path / "a.mp4", textured(5), "mp4v")
     start, table = path.read_bytes().rsplit(b"mp4v", 1)
     path.write_bytes(start + b"av01" + table.replace(b"esds", b"free"))
@@ -213,10 +213,10 @@ def test_a_codec_that_cannot_be_decoded_is_named_with_the_remedy(tmp_path):
     )
 
 
-# --- listening -------------------------------------------------------------------------------
+# --- messages of decoders --------------------------------------------------------------------
 
 
-def test_a_listener_hears_decoders_and_passes_on_what_others_write(capfd):
+def test_a_listener_captures_decoder_messages_and_passes_on_others(capfd):
     listener = Listener()
     with listener:
         os.write(2, b"[h264 @ 0x55ae9e1c95c0] [error] error while decoding MB 5 8\n")
@@ -232,7 +232,7 @@ def test_a_listener_hears_decoders_and_passes_on_what_others_write(capfd):
     assert listener.complaint == ""
 
 
-def test_damage_is_heard_without_a_standard_error_stream(tmp_path):
+def test_damage_is_detected_without_a_standard_error_stream(tmp_path):
     path = write_film(tmp_path / "a.mp4", textured(COUNT), "mp4v")
     path.write_bytes(overwritten(path.read_bytes(), 0.35, 900))
     program = (

@@ -1,4 +1,4 @@
-"""The doctor: every fault put into a recording is found, and a clean one is passed over."""
+"""The doctor: every fault put into a recording is found, and a clean one has no findings."""
 
 import json
 import math
@@ -52,7 +52,7 @@ def recording(
     late_s=0.0,
     start_pose=POSE,
 ):
-    """A rig as a user would have written it, and frames of its views."""
+    """Return a rig as a user would write it, and frames of its views."""
     simulated = SimulatedRig(
         placement, workspace=workspace, background=background, lighting=lighting, sensor=sensor
     )
@@ -87,7 +87,7 @@ def clean():
 # --- clean recordings ------------------------------------------------------------------------
 
 
-def test_a_clean_recording_is_passed_over(clean):
+def test_a_clean_recording_has_no_findings(clean):
     rig, frames = clean
     diagnosis = examine(rig, frames)
     assert diagnosis.findings == ()
@@ -95,7 +95,7 @@ def test_a_clean_recording_is_passed_over(clean):
     assert diagnosis.table()[-1] == "nothing is wrong"
 
 
-def test_what_is_measured_is_what_was_rendered(clean):
+def test_the_measurements_agree_with_the_rendering(clean):
     rig, frames = clean
     for reading in examine(rig, frames).readings:
         assert reading.size_px == (640, 480)
@@ -103,7 +103,7 @@ def test_what_is_measured_is_what_was_rendered(clean):
         assert reading.noise == pytest.approx(2.0, rel=0.05)
         assert reading.blur_px == pytest.approx(1.1, abs=0.2)
         assert reading.hand_found
-        # The rod is 100 above the table and 140 above the sheet; the tracker sees both.
+        # The rod is 100 levels above the table and 140 above the sheet; edges are on both.
         assert 95.0 < reading.contrast < 145.0
         assert reading.finger_px > 40.0
 
@@ -117,7 +117,7 @@ def test_what_is_measured_is_what_was_rendered(clean):
     ],
     ids=["colour", "without noise", "webcams"],
 )
-def test_other_clean_recordings_are_passed_over(sensor, placement):
+def test_other_clean_recordings_have_no_findings(sensor, placement):
     assert examine(*recording(sensor=sensor, placement=placement)).findings == ()
 
 
@@ -133,19 +133,19 @@ def test_the_built_in_clip_is_clean():
 
 @pytest.mark.parametrize("noise", [0.5, 1.0, 2.0, 6.0, 15.0])
 @pytest.mark.parametrize("frames", [1, 3])
-def test_noise_is_measured_in_one_frame_or_between_frames(noise, frames):
+def test_noise_is_measured_in_one_frame_or_several(noise, frames):
     rng = np.random.default_rng(SEED)
     pictures = [
         np.clip(np.round(120 + rng.normal(0, noise, (200, 200))), 0, 255).astype(np.uint8)
         for _ in range(frames)
     ]
     measured = read_pictures(pictures, np.ones((200, 200), dtype=bool)).noise
-    # Rounding to whole levels adds 1/12 to the variance, and makes little noise coarse.
+    # Rounding to whole levels adds 1/12 to the variance, and quantises low noise coarsely.
     assert measured == pytest.approx(math.hypot(noise, 12**-0.5), rel=0.15 if noise < 1 else 0.08)
 
 
 @pytest.mark.parametrize("blur_px", [0.7, 1.5, 3.0])
-def test_blur_is_that_of_the_edges(blur_px):
+def test_blur_is_measured_at_the_edges(blur_px):
     picture = np.full((240, 240), 60.0)
     cv2.fillPoly(picture, [np.array([(40, 50), (200, 80), (170, 200), (60, 180)])], 180.0)
     picture = cv2.GaussianBlur(picture, (0, 0), blur_px)
@@ -162,7 +162,7 @@ def test_a_picture_without_edges_has_no_blur():
     assert read_pictures(plain, np.ones((100, 100), dtype=bool)).blur_px is None
 
 
-def test_the_region_is_what_the_image_shows_between_the_points():
+def test_the_region_is_the_part_of_the_image_between_the_points():
     region = region_between(np.array([[10.0, 10], [90, 10], [90, 1e9], [10, 90]]), (80, 100))
     assert region[40, 50]
     assert not region[40, 5]
@@ -189,7 +189,7 @@ def test_the_region_is_what_the_image_shows_between_the_points():
     ],
     ids=["dim", "dark", "clipped", "noisy", "blurred", "faint", "too faint", "no hand", "small"],
 )  # fmt: skip
-def test_a_fault_of_the_pictures_is_found_in_every_view(changes, severity, check):
+def test_picture_faults_are_found_in_every_view(changes, severity, check):
     diagnosis = examine(*recording(**changes))
     for view in ("left", "right"):
         assert (severity, check, view) in found(diagnosis)
@@ -197,7 +197,7 @@ def test_a_fault_of_the_pictures_is_found_in_every_view(changes, severity, check
         assert diagnosis.serious
 
 
-def test_what_is_merely_out_of_focus_is_not_called_anything_else():
+def test_a_defocused_recording_has_no_other_findings():
     diagnosis = examine(*recording(sensor=Sensor(blur_px=3.5)))
     assert {finding.check for finding in diagnosis.findings} == {Check.FOCUS}
     assert not diagnosis.serious
@@ -240,7 +240,7 @@ def test_mirrored_points_are_found(clean):
 
 
 @pytest.mark.parametrize("shift", [1, 2, 3])
-def test_points_that_begin_elsewhere_are_found_and_put_in_order(clean, shift):
+def test_points_in_cyclically_shifted_order_are_found_and_reordered(clean, shift):
     rig, frames = clean
     order = tuple((k - shift) % 4 for k in range(4))
     diagnosis = examine(reordered(rig, 1, order), frames)
@@ -261,7 +261,7 @@ def test_two_neighbours_swapped_are_refused_by_the_rig_file(clean, tmp_path):
     assert "order of the plane points" in done.output
 
 
-def test_a_point_beside_its_corner_is_found(clean):
+def test_a_displaced_reference_point_is_found(clean):
     rig, frames = clean
     points = np.array(rig.views[0].reference_points_px)
     exact = points[1].copy()
@@ -274,8 +274,8 @@ def test_a_point_beside_its_corner_is_found(clean):
         "left",
     )
     assert finding.what.startswith("reference_points_px[1] is 4.")
-    told = [float(x) for x in finding.what.partition("at (")[2].rstrip(")").split(",")]
-    assert told == pytest.approx(exact, abs=0.5)
+    corner = [float(x) for x in finding.what.partition("at (")[2].rstrip(")").split(",")]
+    assert corner == pytest.approx(exact, abs=0.5)
 
 
 def test_points_nearly_on_a_line_are_found(clean):
@@ -295,7 +295,7 @@ def test_points_nearly_on_a_line_are_found(clean):
     assert any("nearly on a line" in f.what for f in examine(weak, frames).findings)
 
 
-def test_one_of_many_points_that_is_off_is_found():
+def test_one_displaced_point_of_many_is_found():
     rig, frames = recording(workspace=Workspace(points_per_side=3))
     assert examine(rig, frames).findings == ()
     points = np.array(rig.views[1].reference_points_px)
@@ -341,7 +341,7 @@ def test_a_lens_of_another_resolution_is_found(clean):
         ),
     ],
 )
-def test_faults_of_the_clocks_are_found(changes, severity, view, words):
+def test_clock_faults_are_found(changes, severity, view, words):
     diagnosis = examine(*recording(**changes))
     assert any(
         (f.severity, f.check, f.view) == (severity, Check.TIMING, view) and words in f.what
@@ -349,7 +349,7 @@ def test_faults_of_the_clocks_are_found(changes, severity, view, words):
     )
 
 
-def test_lost_frames_and_a_clock_that_stands_are_found(clean):
+def test_lost_frames_and_a_stopped_clock_are_found(clean):
     rig, frames = clean
     pause = [Frame(f.index, f.time_s + 0.2 * (f.index > 3), f.image) for f in frames[0]]
     diagnosis = examine(rig, [pause, frames[1]])
@@ -360,7 +360,7 @@ def test_lost_frames_and_a_clock_that_stands_are_found(clean):
 
 
 class CamerasInStep:
-    """Cameras that take a frame each, 30 times a second of a time that the test sets on."""
+    """Cameras that each take a frame per tick, 1/30 s apart; the test advances the ticks."""
 
     def __init__(self):
         self.ticks, self.ticked = 1, threading.Condition()
@@ -397,7 +397,7 @@ class CameraInStep:
 
 
 class LastView(LiveSource):
-    """The view that is fetched last: then the cameras take their next frames."""
+    """The view that is read last; after it, the cameras take their next frames."""
 
     def __init__(self, *, cameras, **live):
         self._cameras = cameras
@@ -409,7 +409,7 @@ class LastView(LiveSource):
         return frame
 
 
-def test_live_views_are_read_together_and_not_called_late(clean):
+def test_live_views_read_together_have_no_timing_findings(clean):
     rig, frames = clean
     cameras = CamerasInStep()
     devices = [CameraInStep(cameras, own) for own in frames]
@@ -425,23 +425,23 @@ def test_live_views_are_read_together_and_not_called_late(clean):
     with first, last:
         steps = list(look([first, last], 12))
     assert len(steps) == 12
-    # A busy machine may have a view miss a step, which holds up no other.
+    # On a busy machine a view may miss a step, which delays no other.
     seen = [[one for one in own if isinstance(one, Frame)] for own in zip(*steps, strict=True)]
     diagnosis = examine(rig, seen)
     assert [f for f in diagnosis.findings if f.check is Check.TIMING] == []
     assert [reading.frames_per_s for reading in diagnosis.readings] == pytest.approx([30.0, 30.0])
 
 
-def test_the_rate_of_a_live_view_counts_the_frames_that_nobody_fetched(clean):
+def test_the_rate_of_a_live_view_includes_skipped_frames(clean):
     rig, frames = clean
-    # Read together with a view of half its rate.
+    # Read together with a view of half the rate.
     skipped = [Frame(2 * k, k / 15, frame.image) for k, frame in enumerate(frames[0])]
     slower = [Frame(k, k / 15, frame.image) for k, frame in enumerate(frames[1])]
     diagnosis = examine(rig, [skipped, slower])
     assert any("left 30.0, right 15.0" in finding.what for finding in diagnosis.findings)
 
 
-def test_recordings_are_each_read_from_their_start(tmp_path):
+def test_each_recording_is_read_from_its_start(tmp_path):
     for name, count in (("a", 2), ("b", 5)):
         (tmp_path / name).mkdir()
         for k in range(count):
@@ -470,7 +470,7 @@ def test_one_view_and_one_frame_are_enough(clean):
     assert reading.noise == pytest.approx(2.0, rel=0.5)
 
 
-def test_the_command_says_what_is_wrong_and_exits_with_1(tmp_path):
+def test_the_command_reports_faults_and_exits_with_1(tmp_path):
     simulated = SimulatedRig(
         background=TABLE, lighting=Lighting(contrast=100.0, change=LightChange(-1.0, 0.05))
     )
@@ -480,10 +480,10 @@ def test_the_command_says_what_is_wrong_and_exits_with_1(tmp_path):
     assert "error: left: the picture is dark" in done.stdout
     done = CliRunner().invoke(main, ["doctor", str(rig_file), "--json", "--frames", "2"])
     assert done.exit_code == 1
-    told = json.loads(done.stdout)
-    assert told["serious"]
-    assert told["readings"][0]["frames"] == 2
-    assert {"severity", "check", "view", "what", "right"} == set(told["findings"][0])
+    printed = json.loads(done.stdout)
+    assert printed["serious"]
+    assert printed["readings"][0]["frames"] == 2
+    assert {"severity", "check", "view", "what", "right"} == set(printed["findings"][0])
     done = CliRunner().invoke(main, ["doctor", str(rig_file), "--json", "--frames", str(10**20)])
     assert json.loads(done.stdout)["readings"][0]["frames"] == 4
 
@@ -498,7 +498,7 @@ def test_views_of_one_source_are_refused_in_one_line(tmp_path, clean):
     assert 'views "left" and "right" both read' in done.output
 
 
-def test_a_missing_source_is_one_line(tmp_path, clean):
+def test_a_missing_source_is_refused(tmp_path, clean):
     rig, _ = clean
     assert rig.views[0].reference == FixedReference()
     rig.save(tmp_path / "rig.toml")

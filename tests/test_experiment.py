@@ -1,4 +1,4 @@
-"""The experiment: its bound and its figures against independent truth, and its runs."""
+"""The experiment: its bound and its figures against independent references, and its runs."""
 
 import json
 import math
@@ -53,10 +53,8 @@ PAPER = {"model": "paper"}
 @pytest.mark.parametrize(
     ("contrast", "noise", "blur_px"), [(80, 2, 1.0), (40, 4, 0.7), (150, 1, 1.5)]
 )
-def test_edge_information_is_the_fisher_information_of_the_pixels_across_an_edge(
-    contrast, noise, blur_px
-):
-    # A pixel sees the blurred step averaged over its aperture; phases of the edge are averaged.
+def test_edge_information_is_the_fisher_information_of_the_pixels(contrast, noise, blur_px):
+    # A pixel averages the blurred step over its aperture; the mean is over phases of the edge.
     pixels = np.arange(-15, 16)
 
     def light(edge):
@@ -70,20 +68,20 @@ def test_edge_information_is_the_fisher_information_of_the_pixels_across_an_edge
     phases, h = np.linspace(0, 1, 20, endpoint=False), 1e-4
     slopes = [(light(phase + h) - light(phase - h)) / (2 * h) for phase in phases]
     information = np.mean([np.sum((slope / noise) ** 2) for slope in slopes])
-    # s² = σ² + 1/12 takes the box for a Gaussian of its variance: right to 1 %.
+    # s² = σ² + 1/12 approximates the box by a Gaussian of its variance, to 1 %.
     assert edge_information(contrast, noise, blur_px) == pytest.approx(information, rel=0.01)
 
 
-def seen_from_aside(device):
-    """The rod over the middle of the table, level in the image of a camera straight above."""
+def side_view(device):
+    """Return camera, pose and truth of a horizontal rod below a camera straight above."""
     rig = SimulatedRig(Placement(azimuths_deg=(0.0,), elevation_deg=90, distance_m=20))
     pose = DevicePose((200.0, 200.0, 60.0), azimuth_deg=90.0, slant_deg=0.0)
     return rig.cameras[0], pose, finger_truth(rig.cameras[0], device.body, pose)
 
 
-def test_line_bound_of_two_equal_flanks_is_that_of_two_ruled_lines():
+def test_the_line_bound_of_two_equal_flanks_equals_that_of_two_lines():
     rod = RodAndProng(prong_length_mm=0)
-    camera, pose, finger = seen_from_aside(rod)
+    camera, pose, finger = side_view(rod)
     length = np.linalg.norm(finger.flanks_px[0, 1] - finger.flanks_px[0, 0])
     bound = line_bound(camera, rod.body, pose, finger, 300.0)
     assert bound is not None
@@ -91,12 +89,12 @@ def test_line_bound_of_two_equal_flanks_is_that_of_two_ruled_lines():
     assert bound.covariance[1, 1] == pytest.approx(12 / (300.0 * 2 * length**3), rel=0.02)
 
 
-def test_line_bound_loses_what_the_thumb_hides():
+def test_a_thumb_that_hides_a_flank_increases_the_line_bound():
     alone, with_prong = RodAndProng(prong_length_mm=0), RodAndProng(prong_length_mm=55)
-    lying = 90.0  # deg of roll: the prong lies in the image's plane and hides one flank's end
+    lying = 90.0  # deg of roll: the prong is parallel to the image and hides one flank's end
     variances = []
     for device in (alone, with_prong):
-        camera, pose, _ = seen_from_aside(device)
+        camera, pose, _ = side_view(device)
         pose = DevicePose(pose.tip_mm, pose.azimuth_deg, pose.slant_deg, lying)
         finger = finger_truth(camera, device.body, pose)
         bound = line_bound(camera, device.body, pose, finger, 300.0)
@@ -105,9 +103,9 @@ def test_line_bound_loses_what_the_thumb_hides():
     assert variances[1] > 1.1 * variances[0]
 
 
-def test_line_bound_moves_along_the_line_as_a_lever_does():
+def test_the_line_bound_is_propagated_along_the_line():
     rod = RodAndProng()
-    camera, pose, finger = seen_from_aside(rod)
+    camera, pose, finger = side_view(rod)
     bound = line_bound(camera, rod.body, pose, finger, 300.0)
     assert bound is not None
     along = np.array([math.cos(bound.angle_rad), math.sin(bound.angle_rad)])
@@ -117,9 +115,9 @@ def test_line_bound_moves_along_the_line_as_a_lever_does():
     assert bound.at(bound.anchor_px + 20 * along)[0, 0] == pytest.approx(at_20_px.var(), rel=0.02)
 
 
-def test_there_is_no_line_bound_where_only_one_flank_is_seen():
+def test_no_line_bound_with_only_one_flank_visible():
     rod = RodAndProng(prong_length_mm=0)
-    camera, pose, _ = seen_from_aside(rod)
+    camera, pose, _ = side_view(rod)
     # The axis on the lower border of the image: the nearer flank alone is inside.
     below = DevicePose((200.0, -30.6, 60.0), pose.azimuth_deg, 0.0)
     finger = finger_truth(camera, rod.body, below)
@@ -128,7 +126,7 @@ def test_there_is_no_line_bound_where_only_one_flank_is_seen():
     assert line_bound(camera, rod.body, below, finger, 300.0) is None
 
 
-def test_point_bound_is_the_spread_of_points_from_lines_and_references_that_reach_it():
+def test_the_point_bound_is_the_covariance_of_efficient_estimates():
     rig = SimulatedRig()
     rod = RodAndProng(taper=0.1)
     pose = DevicePose.pointing_at((150, 250), hover_mm=120, azimuth_deg=40)
@@ -162,7 +160,7 @@ def test_point_bound_is_the_spread_of_points_from_lines_and_references_that_reac
 
 
 def drawn_trials(count, *, overconfidence=1.0):
-    """Trials whose errors come from the covariance they state, times `overconfidence` in sigma."""
+    """Draw trials whose errors have `overconfidence` times the standard deviations they state."""
     rng = np.random.default_rng(SEED)
     trials = []
     for index in range(count):
@@ -190,7 +188,7 @@ def drawn_trials(count, *, overconfidence=1.0):
     return trials
 
 
-def test_figures_of_a_handful_of_points():
+def test_the_figures_of_a_few_points():
     def at(index, error, status=Status.OK):
         target = np.array([10.0, 20.0])
         if status is not Status.OK:
@@ -215,7 +213,7 @@ def test_figures_of_a_handful_of_points():
     assert points.median == pytest.approx(3.5)
     assert points.largest == pytest.approx(50)
     assert points.mean_error == pytest.approx((1.0, -4 / 3))
-    # Squared errors in sigmas: 2.25, 16, 0, and more for the gross one.
+    # Squared errors in variances: 2.25, 16, 0, and more for the gross one.
     assert [c.held for c in points.coverages] == pytest.approx([0.25, 0.5, 0.5, 0.5])
     assert points.nees.mean == pytest.approx((2.25 + 16) / 6)
     assert points.ellipse_area == pytest.approx(stats.chi2.ppf(0.95, 2) * math.pi * 2)
@@ -224,7 +222,7 @@ def test_figures_of_a_handful_of_points():
     assert summary.recipe is None
 
 
-def test_honest_covariances_are_found_honest():
+def test_correct_covariances_give_nominal_coverage_and_nees():
     summary = summarise(drawn_trials(2000), PLANE)
     for coverage in summary.points.coverages:
         low, high = coverage.chance
@@ -240,7 +238,7 @@ def test_honest_covariances_are_found_honest():
     assert summary.points.ellipse_area_at_95 == pytest.approx(summary.points.ellipse_area, rel=0.05)
 
 
-def test_covariances_that_promise_too_much_are_found_out():
+def test_overconfident_covariances_show_in_nees_and_coverage():
     summary = summarise(drawn_trials(2000, overconfidence=2.0), PLANE)
     assert summary.points.nees.mean == pytest.approx(4.0, rel=0.1)
     # χ² ≤ 5.991 / 4.
@@ -262,17 +260,17 @@ def test_bound_efficiency_and_recipe_compare_variances_and_areas():
 
 
 @pytest.mark.parametrize(("count", "probability"), [(1, 0.5), (40, 0.95), (400, 0.99), (3000, 0.5)])
-def test_binomial_band_is_between_the_quantiles_of_the_distribution(count, probability):
+def test_the_binomial_band_lies_between_the_quantiles(count, probability):
     expected = stats.binom.ppf([0.025, 0.975], count, probability) / count
     assert binomial_band(count, probability) == pytest.approx(expected.tolist())
 
 
-def test_binomial_band_of_certainty_is_certain():
+def test_the_binomial_band_of_certainty_has_no_width():
     assert binomial_band(10, 0.0) == (0.0, 0.0)
     assert binomial_band(10, 1.0) == (1.0, 1.0)
 
 
-def test_line_error_is_what_the_line_was_moved_by():
+def test_the_line_error_equals_the_displacement():
     rig = SimulatedRig()
     pose = DevicePose.pointing_at((150, 250), hover_mm=120, azimuth_deg=40)
     finger = finger_truth(rig.cameras[0], rig.device.body, pose)
@@ -317,7 +315,7 @@ def test_the_recipe_of_1994_takes_sigmas_from_residual_offsets():
         nothing = np.empty((0, 2))
         observations.append(Observation(camera.name, frame, track, nothing, SearchMarks.none()))
     ellipse = paper_ellipse(observations, views)
-    # Offsets of standard deviation r spread evenly over the finger.
+    # Offsets of standard deviation r, uniformly distributed along the finger.
     places = np.linspace(-half_length_px, half_length_px, 100_001)
     sigma = np.diag([residual_px**2, (residual_px / places.std()) ** 2])
     expected = nsigma_ellipse(
@@ -343,20 +341,20 @@ def test_the_recipe_needs_a_line_in_every_view():
 
 @pytest.fixture(scope="module")
 def small():
-    """A dozen targets by the paper's tracker, in this process."""
+    """Twelve targets with the paper's tracker, in this process."""
     calls = []
     options = ExperimentOptions(tracker=PAPER, targets=12, seed=3)
     result = run_experiment(options, workers=1, progress=lambda *call: calls.append(call))
     return result, calls
 
 
-def test_progress_goes_to_the_end(small):
+def test_progress_is_reported_for_every_target(small):
     result, calls = small
     assert calls == [(done, 12) for done in range(1, 13)]
     assert [trial.index for trial in result.trials] == list(range(12))
 
 
-def test_workers_change_nothing(small):
+def test_results_do_not_depend_on_the_number_of_workers(small):
     result, _ = small
     again = run_experiment(ExperimentOptions(tracker=PAPER, targets=12, seed=3), workers=2)
     assert again.table() == result.table()
@@ -368,7 +366,7 @@ def test_workers_change_nothing(small):
             assert one.point.tobytes() == other.point.tobytes()
 
 
-def test_trackers_are_compared_on_the_same_poses_and_seeds_change_them(small):
+def test_poses_depend_on_the_seed_and_not_on_the_tracker(small):
     result, _ = small
     other_tracker = run_experiment(ExperimentOptions(targets=2, seed=3, frames=1), workers=1)
     other_seed = run_experiment(ExperimentOptions(targets=2, seed=4, frames=1), workers=1)
@@ -377,19 +375,19 @@ def test_trackers_are_compared_on_the_same_poses_and_seeds_change_them(small):
         assert other_seed.trials[k].target.tolist() != result.trials[k].target.tolist()
 
 
-def test_repeats_of_a_target_differ_by_noise_alone():
+def test_repeats_of_a_target_differ_by_noise_only():
     bench = Bench(ExperimentOptions(targets=1, reference_noise_px=3.0))
     once, twice, again = bench.trial(1), bench.trial(1, repeat=1), bench.trial(1, repeat=1)
     np.testing.assert_array_equal(once.target, twice.target)
     np.testing.assert_array_equal(twice.point, again.point)
     apart = twice.point - once.point
-    # Both have the same wrong reference points, which cost more than the noise of the pictures.
+    # Both have the same erroneous reference points, which matter more than the image noise.
     assert 0.0 < np.hypot(*apart) < 0.2 * once.error
 
 
-def test_a_template_moulded_elsewhere_costs_the_paper_its_accuracy_and_the_bands_nothing():
-    # A planar template that was held up is another one where the hand points: section 3.3 of the
-    # paper is off by 3.7 % of the plane.
+def test_a_template_fitted_at_another_place_degrades_the_papers_model_only():
+    # A planar template fitted at the start pose does not fit where the hand points: section 3.3 of
+    # the paper has an error of 3.7 % of the plane.
     rms = {}
     here = [Bench(ExperimentOptions()).trial(k).target for k in (0, 9)]
     for tracker in ("paper", "ribbon"):
@@ -406,7 +404,7 @@ def test_a_template_moulded_elsewhere_costs_the_paper_its_accuracy_and_the_bands
     assert rms["ribbon", 30] < 1.5 * rms["ribbon", 0]
 
 
-def test_trackers_start_where_the_device_is_first():
+def test_trackers_start_at_the_first_pose_of_the_device():
     options = ExperimentOptions(frames=2, approach_frames=3, background_frames=2, targets=1)
     bench = Bench(options)
     shown = []
@@ -427,8 +425,8 @@ def test_trackers_start_where_the_device_is_first():
     np.testing.assert_allclose(away[5:], 0, atol=1e-9)
 
 
-def test_what_noise_does_to_a_target_its_mirror_does_the_other_way_round():
-    # The same reference points and start, and exact ones: what is left is noise, and little else.
+def test_mirrored_noise_gives_the_opposite_error():
+    # With the same start and exact reference points, hardly any other error than noise is left.
     bench = Bench(ExperimentOptions(targets=4, reference_noise_px=0.0))
     pairs = [[bench.trial(k, 1, mirrored=m) for m in (False, True)] for k in range(4)]
     errors = np.array([[trial.point - trial.target for trial in pair] for pair in pairs])
@@ -436,7 +434,7 @@ def test_what_noise_does_to_a_target_its_mirror_does_the_other_way_round():
     assert pair < 0.5 * single
 
 
-def test_the_paper_reaches_its_accuracy_over_the_workspace():
+def test_the_papers_tracker_reaches_its_published_accuracy():
     options = ExperimentOptions(tracker=PAPER, targets=40, frames=6)
     summary = run_experiment(options, workers=1).summary
     assert summary.available >= 20
@@ -444,7 +442,7 @@ def test_the_paper_reaches_its_accuracy_over_the_workspace():
     assert summary.bound.rms < summary.points.rms
 
 
-def test_a_lens_that_is_told_costs_nothing_and_one_that_is_not_a_lot():
+def test_an_unknown_lens_more_than_doubles_the_error():
     webcams = Placement(distance_m=0.75, f_px=622.0, k1=(-0.2,))
     medians = {}
     for lens in ("known", "ignored"):
@@ -461,8 +459,8 @@ def test_a_lens_that_is_told_costs_nothing_and_one_that_is_not_a_lot():
     assert medians["known"] < 0.5 * medians["ignored"]
 
 
-def test_the_finger_that_a_lens_bends_is_straight_again():
-    """No finger is bent here: a bend that the lens makes turns no line."""
+def test_lens_distortion_does_not_bias_the_line_of_a_straight_finger():
+    """Curvature of the image due to the lens must not be treated as a bent finger."""
     rms_mm = {}
     for k1 in (0.0, -0.2):
         options = ExperimentOptions(
@@ -475,19 +473,19 @@ def test_the_finger_that_a_lens_bends_is_straight_again():
     assert rms_mm[-0.2] < 1.2 * rms_mm[0.0]
 
 
-def test_there_is_no_bound_without_noise():
+def test_no_bound_without_noise():
     options = ExperimentOptions(targets=1, frames=1, sensor=Sensor(noise=0.0))
     assert run_experiment(options, workers=1).trials[0].bound is None
 
 
-def test_a_hand_can_point_too():
+def test_the_device_may_be_a_hand():
     options = ExperimentOptions(targets=2, device="hand", taper=0.28)
     result = run_experiment(options, workers=1)
     assert result.title[0].startswith("2 targets, hand")
     assert all(trial.bound is not None for trial in result.trials)
 
 
-# --- what is shown ---------------------------------------------------------------------------
+# --- output ----------------------------------------------------------------------------------
 
 
 def result_of(trials):
@@ -520,20 +518,20 @@ def odd_result(request):
     return result_of(request.param)
 
 
-def test_json_holds_no_number_that_is_none(odd_result):
+def test_json_contains_no_nan(odd_result):
     data = json.loads(json.dumps(odd_result.as_dict(), allow_nan=False))
     assert data["figures"]["targets"] == len(odd_result.trials)
     assert data["plane_size"] == PLANE
 
 
-def test_settings_are_fit_for_json(small):
+def test_settings_are_serialisable_as_json(small):
     result, _ = small
     data = json.loads(json.dumps(result.as_dict(), allow_nan=False))
     assert data["settings"]["tracker"] == PAPER
     assert data["settings"]["sensor"]["noise"] == 2.0
 
 
-def test_every_result_can_be_drawn_and_laid_out(odd_result, tmp_path):
+def test_every_result_can_be_drawn_and_tabulated(odd_result, tmp_path):
     assert all(line.isprintable() and len(line) < 120 for line in odd_result.table())
     assert "nan" not in "\n".join(odd_result.table())
     odd_result.draw(tmp_path / "figure.png")
@@ -542,7 +540,7 @@ def test_every_result_can_be_drawn_and_laid_out(odd_result, tmp_path):
     assert picture.std() > 5
 
 
-def test_table_states_the_figures(small):
+def test_the_table_contains_the_figures(small):
     result, _ = small
     summary, table = result.summary, "\n".join(result.table())
     assert f"{summary.available} of 12" in table
@@ -596,7 +594,7 @@ def with_rows(footage, tmp_path, rows):
     return footage[0], truth
 
 
-def test_footage_gives_the_same_figures(footage):
+def test_a_recording_gives_the_same_figures(footage):
     calls = []
     result = run_recording(
         *footage,
@@ -615,7 +613,7 @@ def test_footage_gives_the_same_figures(footage):
     assert data["settings"]["pointing_options"]["bias_offset_px"] == 0.05
 
 
-def test_frames_without_a_truth_are_skipped(footage, tmp_path):
+def test_frames_without_truth_are_skipped(footage, tmp_path):
     rows = ["time_s,frame,x,y,phase", "0.0,7,180,220,hover", "0.1,8,,,gone", "0.2,9,180,220,hover"]
     result = run_recording(*with_rows(footage, tmp_path, rows))
     assert [trial.index for trial in result.trials] == [7, 9]
@@ -636,7 +634,7 @@ def test_frames_without_a_truth_are_skipped(footage, tmp_path):
         (["frame,x,y", "77,1,2"], "no frame of the recording"),
     ],
 )
-def test_a_truth_that_cannot_be_used_is_refused(footage, tmp_path, rows, message):
+def test_an_invalid_truth_file_is_refused(footage, tmp_path, rows, message):
     with pytest.raises(InvalidInputError, match=message):
         run_recording(*with_rows(footage, tmp_path, rows))
 
@@ -650,7 +648,7 @@ def video(tmp_path_factory):
     return rig_file, folder / "truth.csv"
 
 
-def test_a_truth_of_a_video_may_round_its_times_or_have_none(video, tmp_path):
+def test_the_truth_of_a_video_may_have_rounded_times_or_none(video, tmp_path):
     assert run_recording(*video).summary.targets == 6
     rows = ["frame,time_s,x,y", "3,0.1,180,220", "4,0.133,180,220", "5,,180,220"]
     assert run_recording(*with_rows(video, tmp_path, rows)).summary.targets == 3
@@ -658,7 +656,7 @@ def test_a_truth_of_a_video_may_round_its_times_or_have_none(video, tmp_path):
 
 
 @pytest.mark.parametrize("time_s", ["0.0", "0.133333", "1e9", "-0.1"])
-def test_a_truth_with_a_frame_at_another_time_is_refused(video, tmp_path, time_s):
+def test_a_truth_with_another_time_of_a_frame_is_refused(video, tmp_path, time_s):
     rows = ["frame,time_s,x,y", "2,0.066667,180,220", f"3,{time_s},180,220"]
     with pytest.raises(
         InvalidInputError, match=r"truth\.csv: line 3: time_s of frame 3 is .* 0\.1 s"
@@ -677,12 +675,12 @@ def scored(footage, tmp_path, rows):
     return score_points(rig_file, points, truth_file)
 
 
-def test_points_that_somebody_found_are_scored(footage, tmp_path):
+def test_points_from_another_program_are_scored(footage, tmp_path):
     rows = [f"{k},{k / 10},ok,183,224,25,0,25,30" for k in range(3)]
     summary = scored(footage, tmp_path, rows).summary
     assert (summary.targets, summary.available) == (4, 3)
     assert summary.points.rms == summary.points.median == pytest.approx(5.0)
-    # One standard deviation off: outside no ellipse of more than 39 %.
+    # One standard deviation off: inside every ellipse of more than 39 %.
     assert [coverage.held for coverage in summary.points.coverages] == [1.0] * 4
     assert summary.points.nees.mean == pytest.approx(0.5)
 
@@ -701,7 +699,7 @@ def test_points_of_other_times_are_refused(footage, tmp_path):
         scored(footage, tmp_path, ["1,0.5,ok,183,224,,,,"])
 
 
-def test_a_truth_that_is_missing_is_refused(footage, tmp_path):
+def test_a_missing_truth_file_is_refused(footage, tmp_path):
     with pytest.raises(InvalidInputError, match=r"none\.csv"):
         run_recording(footage[0], tmp_path / "none.csv")
 
@@ -737,7 +735,7 @@ def test_options_out_of_range_are_refused_by_name(values):
 
 
 @pytest.mark.parametrize("tracker", [{"modle": "paper"}, {"model": "cardboard"}, {"samples": 3}])
-def test_options_the_tracker_refuses_are_refused_before_any_work(tracker):
+def test_invalid_tracker_options_are_refused_before_any_work(tracker):
     def never(done, of):
         pytest.fail("work was done")
 
@@ -750,13 +748,13 @@ def test_options_that_contradict_each_other_are_refused():
         run_experiment(ExperimentOptions(lighting=Lighting(contrast=200.0)), workers=1)
 
 
-def test_errors_of_workers_arrive_as_they_are():
+def test_errors_of_workers_keep_their_type_and_message():
     nowhere = PoseLimits(border_px=1000)
     with pytest.raises(InvalidInputError, match="widen the limits"):
         run_experiment(ExperimentOptions(limits=nowhere, targets=2), workers=2)
 
 
-def test_no_workers_are_refused():
+def test_zero_workers_are_refused():
     with pytest.raises(InvalidInputError, match="workers is 0"):
         run_experiment(workers=0)
 

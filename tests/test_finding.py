@@ -1,4 +1,4 @@
-"""The hand is found by itself: in recordings whose truth is known, and what is no hand is not."""
+"""Detection of the hand in footage with known truth, and rejection of objects that are no hand."""
 
 import csv
 import dataclasses
@@ -80,13 +80,13 @@ from fingerpost.simulated_rig_file import rig_from_simulation
 
 FPS = 20.0
 SEED = 11
-# What a found hand may be off by; the tracker itself is tested elsewhere.
+# Greatest median error of a found hand; the tracker itself is tested elsewhere.
 ACCURACY_MM = 6.0
-# Frames within which a template has grown as long as its finger: two lengths, each tried for one.
+# Frames in which a template grows to its finger's length: two lengths, each tried for one frame.
 GROWN_WITHIN = 4
-# Frames of a moving hand after which a view that stands still is let go.
+# Frames after which a view whose finger is static while the hand moves is rejected.
 LET_GO_WITHIN = 11
-# Frames from the hand's full entry, or its return, until there is a point.
+# Greatest number of frames from the hand's full entry, or its return, to the first point.
 FOUND_WITHIN = 10
 
 OVER_THE_TABLE = DevicePose.pointing_at(
@@ -99,7 +99,7 @@ AWAY = OVER_THE_TABLE.retreated(700.0)
 
 
 def visit() -> Trajectory:
-    """The table is empty, a hand comes, moves on, leaves, and comes back somewhere else."""
+    """Empty table; a hand enters, moves, leaves, and returns at another place."""
     back = NEXT_TO_IT.retreated(700.0)
     return (
         Trajectory.hold(AWAY, 0.4)
@@ -116,20 +116,20 @@ def visit() -> Trajectory:
 def played(
     rig: SimulatedRig, motion: Trajectory, frames: int, start: Start | None = None
 ) -> tuple[list, list]:
-    """Steps of a pointer with one start pose for all views, or without, and what was true."""
+    """Return a pointer's steps and the ground truth; `start` is the start pose of all views."""
     without = rig_from_simulation(rig)
     views = tuple(replace(view, start=start) for view in without.views)
     pointer, rng = Pointer(replace(without, views=views)), np.random.default_rng(SEED)
-    told, truth = [], []
+    steps, truth = [], []
     for k in range(frames):
         shot = rig.render(motion, time_s=k / FPS, rng=rng)
-        told += pointer.update([Frame(k, k / FPS, image) for image in shot.images])
+        steps += pointer.update([Frame(k, k / FPS, image) for image in shot.images])
         truth.append(shot.truth)
-    return told, truth
+    return steps, truth
 
 
 def entries(truth: list) -> list[int]:
-    """Frames at which the whole finger comes into view, in all views."""
+    """Frames at which the whole finger enters, in all views."""
     seen = [all(v.finger is not None and v.finger.in_view for v in t.views) for t in truth]
     return [k for k in range(1, len(seen)) if seen[k] and not seen[k - 1]]
 
@@ -161,12 +161,12 @@ SCENES = {
 
 
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES.keys())
-def test_a_hand_is_found_when_it_comes_and_when_it_comes_back(scene):
+def test_a_hand_is_found_when_it_enters_and_when_it_returns(scene):
     motion = visit()
     steps, truth = played(scene, motion, int(motion.duration_s * FPS))
     came = entries(truth)
     assert len(came) == 2
-    # A point from anything but a hand would be a false start.
+    # A point without a hand would be a false detection.
     quiet = [s for s in steps[: came[0] - 4] if s.fix.status is not Status.ACQUIRING]
     assert quiet == []
     for first in came:
@@ -179,26 +179,26 @@ def test_a_hand_is_found_when_it_comes_and_when_it_comes_back(scene):
         if step.fix.point is not None
     ]
     assert np.median(errors_mm) < ACCURACY_MM
-    # Between its visits the hand is lost, not looked for as for the first time.
+    # Between its visits the status is lost, not acquiring.
     gone = next(s for s in steps[came[0] : came[1]][::-1] if s.fix.point is None)
     assert gone.fix.status is Status.LOST
 
 
 @pytest.mark.parametrize("tip_px", [(80.0, 120.0), (560.0, 420.0)])
-def test_a_hand_that_comes_elsewhere_than_where_a_template_waits_is_found(tip_px):
+def test_a_hand_that_enters_away_from_the_initial_template_is_found(tip_px):
     motion = visit()
     start = Start(tip_px=tip_px, angle_deg=90.0, length_px=60.0, thumb="left")
     scene = SCENES["wood and a sheet, in colour"]
     steps, truth = played(scene, motion, int(motion.duration_s * FPS), start)
     came = entries(truth)
     assert all(s.fix.status is Status.ACQUIRING for s in steps[: came[0] - 4])
-    told = [s for s in steps[came[0] :] if s.fix.point is not None]
-    assert told[0].index - came[0] <= FOUND_WITHIN
-    errors_mm = [np.hypot(*(s.fix.point - truth[s.index].indicated_mm)) for s in told]
+    found = [s for s in steps[came[0] :] if s.fix.point is not None]
+    assert found[0].index - came[0] <= FOUND_WITHIN
+    errors_mm = [np.hypot(*(s.fix.point - truth[s.index].indicated_mm)) for s in found]
     assert np.median(errors_mm) < ACCURACY_MM
 
 
-def test_a_view_that_stands_still_while_the_hand_moves_in_another_is_let_go():
+def test_a_static_finger_is_rejected_while_the_hand_moves_in_the_other_view():
     far = DevicePose.pointing_at((330.0, 300.0), azimuth_deg=35.0, slant_deg=45.0, hover_mm=100.0)
     motion = (
         Trajectory.hold(AWAY, 0.4)
@@ -221,7 +221,7 @@ def test_a_view_that_stands_still_while_the_hand_moves_in_another_is_let_go():
 
 
 @pytest.mark.parametrize("scene", ["plain", "a hand of a few pixels"])
-def test_something_may_have_come_where_the_background_is_not_known_or_covered(scene):
+def test_a_hand_may_have_come_while_the_background_is_unknown_or_covered(scene):
     rig, rng = SCENES[scene], np.random.default_rng(SEED)
     behind = LearnedBackground()
     for k in range(30):
@@ -236,7 +236,7 @@ def test_something_may_have_come_where_the_background_is_not_known_or_covered(sc
 
 
 @pytest.mark.parametrize("view", [0, 1])
-def test_a_finger_that_moves_towards_a_camera_which_sees_it_stand_is_not_let_go(view):
+def test_a_finger_that_moves_along_a_viewing_ray_is_not_rejected(view):
     rig = SCENES["plain"]
     camera, other = rig.cameras[view], rig.cameras[1 - view]
     tip_mm = np.array(OVER_THE_TABLE.tip_mm)
@@ -257,8 +257,8 @@ def test_a_finger_that_moves_towards_a_camera_which_sees_it_stand_is_not_let_go(
     assert [s.index for s in steps[moves_from:] if s.fix.point is None] == []
 
 
-def test_what_comes_to_a_template_takes_the_place_of_nothing_that_moves(monkeypatch):
-    # The thumb of a hand that passes its own template may come there, too.
+def test_a_newcomer_at_the_template_does_not_replace_a_moving_finger(monkeypatch):
+    # It may be the thumb of a hand that has moved past its template.
     for question, answer in (("has_come", True), ("has_come_whole", True), ("stands_out", False)):
         monkeypatch.setattr(first_hand, question, lambda *_, answer=answer: answer)
 
@@ -292,10 +292,10 @@ def test_what_comes_to_a_template_takes_the_place_of_nothing_that_moves(monkeypa
         ((0.0, 0.0), 0.0, False),
     ],
 )
-def test_what_has_slid_along_itself_under_a_hand_is_no_hand(
+def test_motion_along_its_own_axis_does_not_prove_a_hand(
     monkeypatch, gone_px, turned_rad, is_proven
 ):
-    # An edge of the table that a template waits at shows beyond the hand that has covered it.
+    # A template at an edge of the table slides along it when a hand covers a part of the edge.
     for question, answer in (("has_come", False), ("stands_out", True)):
         monkeypatch.setattr(first_hand, question, lambda *_, answer=answer: answer)
     view = FirstHand(LearnedBackground(), None, lambda: None)
@@ -312,7 +312,7 @@ def test_what_has_slid_along_itself_under_a_hand_is_no_hand(
     assert view.is_proven is view.has_moved is is_proven
 
 
-def test_a_hand_that_waits_in_the_first_frame_is_found():
+def test_a_hand_present_in_the_first_frame_is_found():
     motion = Trajectory.hold(OVER_THE_TABLE, 0.8).then(
         Trajectory.through([OVER_THE_TABLE, NEXT_TO_IT], 0.2)
     )
@@ -322,7 +322,7 @@ def test_a_hand_that_waits_in_the_first_frame_is_found():
     assert found[0] < 25
 
 
-def test_the_hand_that_moves_is_followed_and_not_one_that_lies_there():
+def test_of_two_hands_the_moving_one_is_followed():
     still_s = 0.8
     first, last, lying = (
         DevicePose.pointing_at(place, azimuth_deg=azimuth, slant_deg=50.0, hover_mm=hover_mm)
@@ -346,15 +346,15 @@ def test_the_hand_that_moves_is_followed_and_not_one_that_lies_there():
         for step in pointer.update([Frame(k, k / FPS, image) for image in shot.images]):
             if step.fix.point is not None:
                 misses_mm[k] = np.hypot(*(step.fix.point - shot.truth.indicated_mm))
-    # While both are still, either may be the one that points.
+    # While both are static, either may be the pointing hand.
     assert any(miss > 100.0 for k, miss in misses_mm.items() if k < still_s * FPS)
-    knows = int((still_s + 0.5) * FPS)
-    told = [miss for k, miss in misses_mm.items() if k >= knows]
-    assert len(told) >= 8
-    assert max(told) < 20.0
+    decided_by = int((still_s + 0.5) * FPS)
+    settled_mm = [miss for k, miss in misses_mm.items() if k >= decided_by]
+    assert len(settled_mm) >= 8
+    assert max(settled_mm) < 20.0
 
 
-def test_an_empty_cluttered_table_starts_nothing():
+def test_nothing_is_acquired_on_an_empty_cluttered_table():
     scene = SimulatedRig(
         background=Background(clutter=40.0, texture="wood"), sensor=Sensor(cells_per_sigma=2)
     )
@@ -364,7 +364,7 @@ def test_an_empty_cluttered_table_starts_nothing():
     assert {row.status for row in rows} == {"acquiring"}
 
 
-def test_a_table_on_which_nothing_changes_is_searched_again_once_a_hand_comes(monkeypatch):
+def test_a_resting_search_resumes_when_a_hand_enters(monkeypatch):
     monkeypatch.setattr("fingerpost.finding.rest.REST_FRAMES", 20)
     scene, rng = SCENES["a hand of a few pixels"], np.random.default_rng(SEED)
     comes = (
@@ -381,16 +381,16 @@ def test_a_table_on_which_nothing_changes_is_searched_again_once_a_hand_comes(mo
         truth.append(shot.truth)
     (came,) = entries(truth)
     for view in range(2):
-        looked = [now[view] is not before[view] for before, now in pairwise(candidates)]
-        assert all(looked[:19])
-        assert not any(looked[38:46])
-        assert all(looked[came - 1 : came + 2])
+        is_searched = [now[view] is not before[view] for before, now in pairwise(candidates)]
+        assert all(is_searched[:19])
+        assert not any(is_searched[38:46])
+        assert all(is_searched[came - 1 : came + 2])
     found = next(k for k, point in enumerate(points) if point is not None)
     assert found - came <= FOUND_WITHIN
 
 
-def test_what_stands_on_the_table_starts_nothing():
-    # Nothing moves, and rods without a hand point at the plane as a finger would.
+def test_static_rods_on_the_table_are_not_acquired():
+    # Rods without a hand that point at the plane as a finger would.
     rod, rng = RodAndProng(prong_length_mm=0.0), np.random.default_rng(SEED)
     poses = [
         DevicePose.pointing_at(place, azimuth_deg=azimuth, slant_deg=60.0, hover_mm=30.0)
@@ -427,7 +427,7 @@ def test_the_same_frames_give_the_same_bits_twice(tmp_path: Path):
     assert np.hypot(*np.subtract(last.point, truth[-1])) < ACCURACY_MM
 
 
-# --- which fingers of two views may be one ---------------------------------------------------
+# --- fingers of two views that may be the same -----------------------------------------------
 
 
 def viewpoints(rig: SimulatedRig) -> tuple[Viewpoint, Viewpoint]:
@@ -441,8 +441,8 @@ def viewpoints(rig: SimulatedRig) -> tuple[Viewpoint, Viewpoint]:
     return made[0], made[1]
 
 
-def sightings(rig: SimulatedRig, pose: DevicePose) -> list[FingerDetection]:
-    """The finger of a pose as each view sees it."""
+def detections(rig: SimulatedRig, pose: DevicePose) -> list[FingerDetection]:
+    """Return each view's detection of the finger at a pose."""
     seen = []
     for view in rig.truth(pose, time_s=0.0).views:
         start = view.finger.start()
@@ -454,8 +454,8 @@ def score(rig: SimulatedRig, first: FingerDetection, second: FingerDetection) ->
     return float(pair_scores(viewpoints(rig), ([first], [second]))[0, 0])
 
 
-def test_two_views_from_one_place_are_judged_without_a_warning():
-    # Rays of one direction, and rays that meet in the camera.
+def test_coincident_cameras_are_scored_without_a_warning():
+    # Parallel rays, and rays that meet in the camera centre.
     here, _ = viewpoints(SimulatedRig())
     rng = np.random.default_rng(0)
     tips = rng.uniform((20, 20), (620, 460), (60, 2))
@@ -471,62 +471,62 @@ def test_two_views_from_one_place_are_judged_without_a_warning():
     assert (np.diag(scores) == 0.0).all()
 
 
-def test_the_camera_is_where_the_plane_says_it_is():
+def test_the_camera_centre_follows_from_the_homography():
     rig = SimulatedRig()
     for viewpoint, camera in zip(viewpoints(rig), rig.cameras, strict=True):
-        # The principal point is in the middle, so the centre is exact.
+        # Exact, because the principal point is the image centre.
         np.testing.assert_allclose(viewpoint.centre, camera.centre_mm, rtol=1e-3, atol=1.0)
 
 
-def test_one_finger_is_one_and_two_are_seldom():
+def test_pairs_of_one_finger_score_high_and_others_seldom():
     rig = SimulatedRig()
     sampler, rng = PoseSampler(rig), np.random.default_rng(SEED)
-    fingers = [sightings(rig, sampler.draw(rng)) for _ in range(30)]
+    fingers = [detections(rig, sampler.draw(rng)) for _ in range(30)]
     left, right = ([views[k] for views in fingers] for k in (0, 1))
     scores = pair_scores(viewpoints(rig), (left, right))
     same = np.eye(len(fingers), dtype=bool)
     assert np.mean(scores[same] > 0.5) > 0.9
-    # Tips on one line towards both cameras are one for all that two views can tell.
+    # Tips near one epipolar plane cannot be distinguished by two views.
     assert np.mean(scores[~same] > 0.5) < 0.4
 
 
-def test_tips_that_are_not_one_make_no_finger():
+def test_different_tips_score_zero():
     rig = SimulatedRig()
-    one, other = sightings(rig, OVER_THE_TABLE)
-    # The lines stay where they are: they alone would still meet in a point.
+    one, other = detections(rig, OVER_THE_TABLE)
+    # The tip moves along its line, so the lines alone still give a point.
     back_px = 110.0 * np.array([np.cos(other.angle_rad), np.sin(other.angle_rad)])
     slid = other._replace(tip_px=tuple(np.subtract(other.tip_px, back_px)))
     assert score(rig, one, other) > 0.5
     assert score(rig, one, slid) == 0.0
 
 
-def test_tips_that_hardly_meet_are_worth_little():
+def test_the_score_falls_as_the_tips_disagree():
     rig = SimulatedRig()
-    one, other = sightings(rig, OVER_THE_TABLE)
+    one, other = detections(rig, OVER_THE_TABLE)
     ahead = np.array([np.cos(other.angle_rad), np.sin(other.angle_rad)])
-    told = []
+    scores = []
     for back_px in (0.0, 5.0, 20.0, 30.0, 40.0):
-        # The lines stay where they are, and so does the point.
+        # The tip moves along its line, so the indicated point stays.
         slid = other._replace(tip_px=tuple(np.subtract(other.tip_px, back_px * ahead)))
         tip = same_tip(viewpoints(rig), (one, slid))
-        told.append((tip, score(rig, one, slid) / score(rig, one, other)))
-    assert told == sorted(told, reverse=True)
-    # What may well be one costs nothing, and what is hardly one costs most.
-    assert told[1][0] > 0.99
-    assert told[1][1] > 0.9
-    assert told[3][0] > 0.9
-    assert told[3][1] < 0.4
+        scores.append((tip, score(rig, one, slid) / score(rig, one, other)))
+    assert scores == sorted(scores, reverse=True)
+    # Near-certain agreement is hardly penalised, a marginal one strongly.
+    assert scores[1][0] > 0.99
+    assert scores[1][1] > 0.9
+    assert scores[3][0] > 0.9
+    assert scores[3][1] < 0.4
 
 
 @pytest.mark.parametrize("azimuth_deg", [15.0, 45.0])
 @pytest.mark.parametrize("k1", [0.0, -0.3])
-def test_a_rig_that_is_set_up_carelessly_costs_a_finger_little(k1, azimuth_deg):
-    """Reference points 3 px off, and a close webcam whose lens nobody corrects."""
+def test_inaccurate_reference_points_and_lens_reduce_the_tip_score_little(k1, azimuth_deg):
+    """Reference points with 3 px of noise, and a close webcam with an uncorrected lens."""
     rig = SimulatedRig(
         Placement(0.75, azimuths_deg=(-azimuth_deg, azimuth_deg), f_px=622.0, k1=(k1,))
     )
     sampler, rng = PoseSampler(rig), np.random.default_rng(SEED)
-    worth = []
+    factors = []
     for _ in range(40):
         views = tuple(
             Viewpoint.of(
@@ -537,22 +537,22 @@ def test_a_rig_that_is_set_up_carelessly_costs_a_finger_little(k1, azimuth_deg):
             )
             for camera, points in zip(rig.cameras, rig.reference_points_px, strict=True)
         )
-        fingers = [sightings(rig, sampler.draw(rng)) for _ in range(5)]
-        worth += [same_tip(views, tuple(finger)) ** TIP_POWER for finger in fingers]
-    assert np.quantile(worth, 0.05) > 0.75
-    assert np.median(worth) > 0.9
+        fingers = [detections(rig, sampler.draw(rng)) for _ in range(5)]
+        factors += [same_tip(views, tuple(finger)) ** TIP_POWER for finger in fingers]
+    assert np.quantile(factors, 0.05) > 0.75
+    assert np.median(factors) > 0.9
 
 
-def test_a_finger_that_is_lost_leads_elsewhere_the_sooner_the_less_likely():
+def test_a_change_of_direction_becomes_likelier_with_the_time_since_the_loss():
     lost = LastSeen(3.0, time_s=2.0)
     assert lost.direction_likelihood(3.0, 2.0) == 1.0
-    # Across the seam of the angles.
+    # Across the discontinuity at ±π.
     assert lost.direction_likelihood(3.5 - 2.0 * math.pi, 2.0) == pytest.approx(math.exp(-0.5))
     assert lost.direction_likelihood(3.0 + 2.0, 2.1) < 0.02
     assert lost.direction_likelihood(3.0 + 2.0, 3.0) > 0.6
 
 
-def test_what_lies_on_the_table_is_no_finger():
+def test_a_stick_flat_on_the_table_scores_zero():
     rig = SimulatedRig()
     ends = np.array([[100.0, 120.0], [180.0, 150.0]])
     seen = []
@@ -560,13 +560,13 @@ def test_what_lies_on_the_table_is_no_finger():
         back, tip = viewpoint.plane_view.project(ends)
         angle = float(np.arctan2(*(tip - back)[::-1]))
         seen.append(FingerDetection(tuple(tip), angle, 7.0))
-    # It meets itself at no angle, or at one that comes from how badly it is seen.
+    # Its constraint lines coincide, or differ by the measurement error only.
     assert score(rig, *seen) == 0.0
     turned = seen[1]._replace(angle_rad=seen[1].angle_rad + 0.03)
     assert score(rig, seen[0], turned) == 0.0
 
 
-def test_what_both_views_show_alike_on_the_plane_is_flat():
+def test_the_table_pattern_is_flat_and_a_finger_is_not():
     rig = SimulatedRig(
         background=Background(clutter=50.0), sensor=Sensor(noise=3.0, cells_per_sigma=2)
     )
@@ -578,7 +578,7 @@ def test_what_both_views_show_alike_on_the_plane_is_flat():
         for c in HandFinder().find(table[0])
     ]
     assert len(shapes) > 5
-    hand = sightings(rig, OVER_THE_TABLE)
+    hand = detections(rig, OVER_THE_TABLE)
     assert np.mean(flatness(views, tuple(table), shapes) > 0.5) > 0.6
     assert flatness(views, greys, hand[:1])[0] < 0.2
     assert flatness(views[::-1], greys[::-1], hand[1:])[0] < 0.2
@@ -586,18 +586,18 @@ def test_what_both_views_show_alike_on_the_plane_is_flat():
     assert flatness(views, greys, outside).tolist() == [0.0]
 
 
-def test_a_finger_that_points_away_from_the_plane_is_none():
+def test_a_finger_that_points_away_from_the_plane_scores_zero():
     rig = SimulatedRig()
     one, other = (
         finger._replace(angle_rad=finger.angle_rad + np.pi)
-        for finger in sightings(rig, OVER_THE_TABLE)
+        for finger in detections(rig, OVER_THE_TABLE)
     )
     assert score(rig, one, other) == 0.0
 
 
-def test_unlike_fingers_score_less():
+def test_fingers_of_different_width_colour_or_foreground_score_less():
     rig = SimulatedRig()
-    one, other = sightings(rig, OVER_THE_TABLE)
+    one, other = detections(rig, OVER_THE_TABLE)
     usual = score(rig, one, other)
     assert score(rig, one._replace(half_width_px=14.0), other) < 0.6 * usual
     assert score(rig, one._replace(score=0.5), other) == pytest.approx(0.5 * usual)
@@ -609,15 +609,15 @@ def test_unlike_fingers_score_less():
     assert score(rig, one._replace(colour=red), other._replace(colour=blue)) < 0.3 * usual
 
 
-def test_no_fingers_make_no_pairs():
+def test_a_view_without_fingers_gives_no_pairs():
     rig = SimulatedRig()
-    assert pair_scores(viewpoints(rig), ([], sightings(rig, OVER_THE_TABLE))).shape == (0, 2)
+    assert pair_scores(viewpoints(rig), ([], detections(rig, OVER_THE_TABLE))).shape == (0, 2)
 
 
 def tried_out(rig: SimulatedRig, known_length: float | None = None) -> tuple:
-    """A search, the trial of its best candidate, and the first view's picture that shows it.
+    """Return a search, the trial of its best candidate, and the first view's image.
 
-    The view has lost a finger, if the length of the template that had followed it is known.
+    `known_length` is the length of the template that followed the finger before its loss, if any.
     """
     motion = Trajectory.hold(OVER_THE_TABLE, 0.1)
     image = rig.render(motion, time_s=0.0, rng=np.random.default_rng(SEED)).images[0]
@@ -631,8 +631,8 @@ def tried_out(rig: SimulatedRig, known_length: float | None = None) -> tuple:
     return search, trial, image
 
 
-def followed_by_a_stub(trial, image: np.ndarray, half_widths: float) -> None:
-    """Follow with a short template what the trial follows."""
+def follow_with_short_template(trial, image: np.ndarray, half_widths: float) -> None:
+    """Replace the trial's template by a short one on the same finger."""
     line = trial.track.finger_line
     short = fp.StartPose(line.tip_px, line.angle_rad, half_widths * trial.half_width_px)
     trial.tracker = fp.ContourTracker.at_hand(
@@ -642,7 +642,7 @@ def followed_by_a_stub(trial, image: np.ndarray, half_widths: float) -> None:
 
 
 def covered_behind_the_tip(trial, image: np.ndarray, half_widths: float) -> Frame:
-    """The picture with what the trial follows hidden from so far behind its tip on."""
+    """The image with the trial's finger occluded from `half_widths` behind its tip on."""
     line = trial.track.finger_line
     ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
     v, u = np.indices(image.shape)
@@ -651,17 +651,17 @@ def covered_behind_the_tip(trial, image: np.ndarray, half_widths: float) -> Fram
     return Frame(0, 0.0, np.where(is_hidden, np.median(image), image).astype(np.uint8))
 
 
-def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
+def test_a_template_is_extended_once_a_frame_shows_the_whole_finger():
     rig = SCENES["plain"]
     search, trial, image = tried_out(rig)
-    followed_by_a_stub(trial, image, 5.0)
+    follow_with_short_template(trial, image, 5.0)
     line = trial.track.finger_line
     ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
     short_px = np.ptp(trial.tracker.contour() @ ahead)
     trial.extend(covered_behind_the_tip(trial, image, 3.5))
     assert not trial.extension.is_long
     assert np.ptp(trial.tracker.contour() @ ahead) == short_px
-    # The second look is two frames after the first that has failed.
+    # The second attempt comes two frames after the failed first one.
     for k in (1, 2):
         trial.update(Frame(k, k / FPS, image), search.background)
         trial.extend(Frame(k, k / FPS, image))
@@ -672,14 +672,14 @@ def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
 @pytest.mark.parametrize(
     ("known_length", "is_long"), [(None, False), (7.0, False), (5.0, True), (3.0, True)]
 )
-def test_a_finger_that_is_found_again_may_be_as_short_as_it_was(known_length, is_long):
+def test_a_reacquired_finger_may_be_as_short_as_before_its_loss(known_length, is_long):
     _, trial, image = tried_out(SCENES["plain"], known_length)
-    followed_by_a_stub(trial, image, 5.0)
+    follow_with_short_template(trial, image, 5.0)
     trial.extend(covered_behind_the_tip(trial, image, 3.5))
     assert trial.extension.is_long is is_long
 
 
-def test_a_trial_that_is_refused_once_has_held_for_half_as_long():
+def test_a_rejected_fit_halves_the_frame_count_of_a_trial():
     search, trial, image = tried_out(SCENES["plain"])
     empty = np.full_like(image, int(np.median(image)))
     shown = [image] * 7 + [empty] + [image] * 2 + [empty] * 2
@@ -692,14 +692,14 @@ def test_a_trial_that_is_refused_once_has_held_for_half_as_long():
     assert over == [False] * 11 + [True]
 
 
-def test_a_found_finger_is_as_long_as_its_whole_width_says():
-    # A short template knows the width near the tip alone, where a finger that tapers is slim.
+def test_the_extended_length_follows_the_width_of_the_whole_finger():
+    # A short template measures the width near the tip only, where a tapered finger is slim.
     rig = SimulatedRig(
         device=RodAndProng(length_mm=200.0, diameter_mm=36.0, taper=0.6, prong_length_mm=0.0)
     )
     search, trial, image = tried_out(rig)
     line = trial.track.finger_line
-    followed_by_a_stub(trial, image, 4.0)
+    follow_with_short_template(trial, image, 4.0)
     slim_px = trial.half_width_px
     for k in range(GROWN_WITHIN):
         trial.extend(Frame(k, k / FPS, image))
@@ -707,12 +707,12 @@ def test_a_found_finger_is_as_long_as_its_whole_width_says():
     ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
     length_px = np.ptp(trial.tracker.contour() @ ahead)
     assert trial.half_width_px > 1.1 * slim_px
-    # The outline of a template of nine half-widths; by the width near the tip it has less than 7.7.
+    # Outline of a template of nine half-widths; from the width near the tip it would be below 7.7.
     assert length_px > 8.0 * trial.half_width_px
 
 
 class SearchedLines:
-    """Lines of both flanks, all of whose edges agree."""
+    """Search lines of both flanks; all edges agree with the fit."""
 
     def __init__(self, length_px: float) -> None:
         u = np.tile(np.linspace(100.0 - length_px, 100.0, 20), 2)
@@ -725,7 +725,7 @@ class SearchedLines:
 
 
 class Fitted:
-    """A template that has been fitted to a finger that points right, and says so of every frame."""
+    """A tracker stub that reports the same fit, of a finger pointing right, for every frame."""
 
     def __init__(self, length_px: float, half_width_px: float, variance: float = 1.0) -> None:
         self.length_px = length_px
@@ -751,7 +751,7 @@ class Fitted:
     ("part", "is_same"),
     [(1.0, True), (0.85, True), (1.4, True), (0.75, False), (0.5, False), (1.8, False)],
 )
-def test_a_longer_template_that_shows_a_finger_of_another_width_follows_another(part, is_same):
+def test_a_longer_template_of_another_width_is_rejected(part, is_same):
     def longer(start: StartPose, half_width_px: float) -> Fitted:
         return Fitted(start.length_px, part * half_width_px)
 
@@ -765,9 +765,7 @@ def test_a_longer_template_that_shows_a_finger_of_another_width_follows_another(
 
 
 @pytest.mark.parametrize(("variance", "at_once"), [(0.4, True), (0.6, False), (1.5, False)])
-def test_a_finger_that_is_long_enough_gives_way_at_once_to_one_that_is_twice_as_sure(
-    variance, at_once
-):
+def test_a_longer_template_of_half_the_variance_is_accepted_at_once(variance, at_once):
     seen = []
 
     def longer(start: StartPose, half_width_px: float) -> Fitted:
@@ -780,12 +778,12 @@ def test_a_finger_that_is_long_enough_gives_way_at_once_to_one_that_is_twice_as_
     frames = [Frame(k, k / FPS, np.zeros((8, 8), np.uint8)) for k in range(2)]
     first, _ = extension.update(enough, enough.track, frames[0])
     assert first is (seen[0] if at_once else enough)
-    # What follows well waits for one more frame.
+    # Otherwise it is accepted after one more frame.
     assert extension.update(first, first.track, frames[1]) == (seen[0], seen[0].track)
 
 
 def is_long_by_frame(half_widths: float, frames: int, **how: bool) -> list[bool]:
-    """Whether a finger of this length passes for a whole one, of which no frame shows more."""
+    """Whether a finger whose longer templates all fail is accepted as long, frame by frame."""
 
     def of_another_finger(start: StartPose, half_width_px: float) -> Fitted:
         return Fitted(start.length_px, 2.0 * half_width_px)
@@ -804,10 +802,10 @@ def is_long_by_frame(half_widths: float, frames: int, **how: bool) -> list[bool]
     ("half_widths", "is_likely", "is_long"),
     [(6.0, True, True), (6.0, False, False), (5.0, True, False), (7.5, False, True)],
 )
-def test_a_likely_finger_of_which_no_frame_shows_more_may_be_short(half_widths, is_likely, is_long):
+def test_a_likely_finger_may_be_short_if_no_frame_shows_more(half_widths, is_likely, is_long):
     seen = is_long_by_frame(half_widths, 40, is_likely=is_likely)
     assert seen[-1] is is_long
-    # It is not taken for all of it at first.
+    # The first frames do not suffice.
     assert seen[3] is (half_widths >= 7.0)
 
 
@@ -815,9 +813,11 @@ def test_a_likely_finger_of_which_no_frame_shows_more_may_be_short(half_widths, 
     ("half_widths", "is_followed", "is_short"),
     [(6.0, True, True), (6.0, False, False), (5.0, True, False)],
 )
-def test_a_finger_that_another_view_follows_may_be_short_sooner(half_widths, is_followed, is_short):
+def test_a_finger_followed_by_another_view_is_accepted_as_short_sooner(
+    half_widths, is_followed, is_short
+):
     seen = is_long_by_frame(half_widths, 4, is_followed=is_followed)
-    # What covers a finger in one frame may have flanks like a finger's end.
+    # An occluder in a single frame may look like the end of a finger.
     assert seen[:2] == [False, False]
     assert seen[3] is is_short
 
@@ -835,13 +835,13 @@ def test_a_finger_that_another_view_follows_may_be_short_sooner(half_widths, is_
         (0.0, {"foreground": 1.0}, False, False),
     ],
 )
-def test_what_stands_and_what_moves_on_is_told(moved_px, changes, is_static, is_moving):
-    """Of a finger 16 px wide, by how far its tip is from where the fit saw it first."""
+def test_static_and_moving_trials_are_distinguished(moved_px, changes, is_static, is_moving):
+    """A finger 16 px wide, by the distance of its tip from that of the first fit."""
 
     def line(u_px: float) -> SimpleNamespace:
         return SimpleNamespace(tip_px=(u_px, 80.0), angle_rad=0.0)
 
-    # Where the fit was started tells nothing: it leads to the finger from as far as its width.
+    # The start pose is irrelevant: the fit converges from as far away as the finger's width.
     candidate = SimpleNamespace(start=StartPose((60.0, 80.0), 0.0, 70.0), half_width_px=8.0)
     known = {"score": 0.9, "foreground": 0.0, "hand": 1.0, "frames": 6, "is_late": False}
     trial = Trial(
@@ -857,7 +857,7 @@ def test_what_stands_and_what_moves_on_is_told(moved_px, changes, is_static, is_
     assert trial.is_moving == is_moving
 
 
-def test_a_pair_that_stands_gives_way_to_what_moves_on_in_either_view():
+def test_a_static_pair_is_rejected_beside_a_mover_in_either_view():
     standing = SimpleNamespace(tip_px=(200.0, 80.0))
     elsewhere = SimpleNamespace(tip_px=(100.0, 300.0))
 
@@ -884,7 +884,7 @@ def test_a_pair_that_stands_gives_way_to_what_moves_on_in_either_view():
     assert not is_left(both, 0, 1)
     assert is_left([view(False), view(False, True)], 0, 0)
     assert not is_left([view(False, False), view(False)], 0, 0)
-    # What goes to and fro on the fist behind a finger is no other hand, what is farther off may be.
+    # A fit that oscillates on the fist behind the finger is no other hand; a farther one may be.
     for u_px, is_other in [(120.0, False), (45.0, False), (35.0, True), (365.0, True)]:
         there = view(False, True, at=SimpleNamespace(tip_px=(u_px, 80.0)))
         assert is_left([there, there], 0, 0) is is_other
@@ -893,35 +893,50 @@ def test_a_pair_that_stands_gives_way_to_what_moves_on_in_either_view():
 @pytest.mark.parametrize("is_late", [False, True])
 @pytest.mark.parametrize("has_moved", [False, True])
 @pytest.mark.parametrize("is_supported", [False, True])
-def test_what_was_there_all_the_while_is_a_hand_if_it_moves_with_another_views(
+def test_a_late_background_trial_is_accepted_if_it_moves_and_another_view_supports_it(
     is_late: bool, has_moved: bool, is_supported: bool
 ):
-    trial = SimpleNamespace(has_come=False, is_late=is_late, has_moved=has_moved, frames=30)
-    worth, has_held = pair_rank(0.8, [trial], False, hand=1.0, is_supported=is_supported)
+    trial = SimpleNamespace(
+        has_come=False, is_late=is_late, has_moved=has_moved, frames=30, stripe_frames=0
+    )
+    rank, has_held = pair_rank(0.8, [trial], False, hand=1.0, is_supported=is_supported)
     assert has_held
-    assert (worth > 0.0) == (not is_late or (has_moved and is_supported))
+    assert (rank > 0.0) == (not is_late or (has_moved and is_supported))
 
 
-def test_what_has_come_without_a_hand_goes_after_a_hand_and_is_believed_if_nothing_is_one():
+def test_a_pair_that_shows_a_stripe_is_rejected_unless_it_is_followed():
+    trial = SimpleNamespace(
+        has_come=True, is_late=False, has_moved=True, frames=30, stripe_frames=1
+    )
+    for is_current in (False, True):
+        rank, _ = pair_rank(1.0, [trial], is_current, hand=1.0, is_supported=False)
+        assert (rank > 0.0) is is_current
+
+
+def test_a_newcomer_without_a_hand_ranks_below_one_with_a_hand():
     def newcomer(score: float, hand: float) -> tuple[float, bool]:
-        trial = SimpleNamespace(has_come=True, is_late=False, has_moved=True, frames=30)
+        trial = SimpleNamespace(
+            has_come=True, is_late=False, has_moved=True, frames=30, stripe_frames=0
+        )
         return pair_rank(score, [trial], False, hand=hand, is_supported=False)
 
     stick, finger = newcomer(0.8, 0.0), newcomer(0.6, 0.3)
     assert stick[1]
     assert 0.0 < stick[0] < finger[0] == 0.6
     assert newcomer(0.8, 0.0)[0] < newcomer(0.8, 0.1)[0] < newcomer(0.8, 0.2)[0] == 0.8
-    # What hardly fits together has a hand to show for itself.
+    # A pair of low score is accepted only with a hand behind it.
     assert newcomer(0.4, 0.0) == (0.0, True)
     assert newcomer(0.4, 0.3)[0] == 0.4
 
 
 @pytest.mark.parametrize("has_come", [False, True])
 @pytest.mark.parametrize("is_supported", [False, True])
-def test_what_fits_together_better_is_believed_sooner(has_come, is_supported):
+def test_a_pair_of_higher_score_needs_fewer_frames(has_come, is_supported):
     def frames_needed(score: float) -> int:
         for frames in range(1, 30):
-            trial = SimpleNamespace(has_come=has_come, is_late=False, has_moved=True, frames=frames)
+            trial = SimpleNamespace(
+                has_come=has_come, is_late=False, has_moved=True, frames=frames, stripe_frames=0
+            )
             if pair_rank(score, [trial], False, hand=1.0, is_supported=is_supported)[1]:
                 return frames
         raise AssertionError
@@ -943,17 +958,17 @@ def test_options_of_the_search_are_checked():
 # --- rendered footage of a hand ----------------------------------------------------------------
 
 DESK = Path(fp.__file__).with_name("data") / "desk"
-# The hand waits for 14 frames, among a pen, a cube and a book, and begins to point then.
+# The hand is static for 14 frames, among a pen, a cube and a book, and then begins to point.
 DESK_FOUND_BY = 25
 DESK_FRAMES = 40
-# A gross error; how well a bent finger is followed is tested elsewhere.
+# Limit of a gross error; accuracy with a bent finger is tested elsewhere.
 DESK_GROSS_MM = 150.0
-# What directions may differ by, root mean square, where pictures differ in size alone.
+# Greatest root-mean-square difference of directions between images that differ in size only.
 SAME_PICTURE_DEG = 0.25
 
 
 def left_handed(rig: Rig, frame: Frame, view: int) -> tuple[Frame, tuple[tuple[float, float], ...]]:
-    """A frame seen in a mirror, and its reference points."""
+    """Return a frame mirrored left to right, and its reference points."""
     width = frame.image.shape[1]
     points = tuple((width - 1 - u, v) for u, v in rig.views[view].reference_points_px)
     image = np.ascontiguousarray(frame.image[:, ::-1])
@@ -984,7 +999,7 @@ def test_a_hand_is_found_on_a_desk(is_mirrored: bool):
 
 
 def monochrome(has_start: bool) -> tuple[Rig, list[list[Frame]], np.ndarray]:
-    """The desk as monochrome cameras see it, and what is pointed at."""
+    """Return the desk's rig, its frames in grey, and the true indicated points."""
     rig = Rig.load(DESK / "rig.toml")
     if not has_start:
         rig = replace(rig, views=tuple(replace(view, start=None) for view in rig.views))
@@ -1003,7 +1018,7 @@ def test_a_hand_is_found_and_followed_without_colours(has_start: bool):
     pointer = Pointer(rig)
     fixes = [step.fix for pair in frames for step in pointer.update(pair)]
     found = [k for k, fix in enumerate(fixes) if fix.point is not None]
-    # The hand stands still at first: it is proven within half a second, and never lost again.
+    # The hand is static at first: it is proven within half a second, and never lost again.
     assert found[0] <= (1 if has_start else 12)
     assert len(found) >= DESK_FRAMES - found[0] - 1
     errors = [np.array(fixes[k].point) - truth[k] for k in found]
@@ -1014,7 +1029,7 @@ def test_a_hand_is_found_and_followed_without_colours(has_start: bool):
 
 
 @pytest.mark.parametrize("has_start", [True, False])
-def test_what_monochrome_cameras_hand_over_in_three_channels_is_grey(has_start: bool):
+def test_three_equal_channels_are_processed_as_grey(has_start: bool):
     rig, frames, _ = monochrome(has_start)
     tripled = [
         [Frame(f.index, f.time_s, np.repeat(f.image[..., None], 3, axis=2)) for f in pair]
@@ -1027,8 +1042,8 @@ def test_what_monochrome_cameras_hand_over_in_three_channels_is_grey(has_start: 
         np.testing.assert_array_equal(a.fix.covariance, b.fix.covariance)
 
 
-def test_a_finger_widens_to_its_hand_as_far_in_three_equal_channels():
-    # Its hand is darker by twice what its levels scatter: alike in part.
+def test_the_widening_is_the_same_in_three_equal_channels():
+    # The hand is darker by two standard deviations of the noise, so the levels overlap in part.
     rng = np.random.default_rng(5)
     picture = np.full((240, 320), 60.0)
     picture[110:130, 60:260], picture[110:180, 60:170] = 150.0, 138.0
@@ -1057,16 +1072,16 @@ def test_a_hand_is_followed_when_the_light_changes(gain: float):
 
 
 def directions(rig: Rig, frames: list) -> np.ndarray:
-    """Where the finger points in either view of every frame [rad]; NaN where that is not told."""
+    """Direction of the finger in each view of every frame [rad]; NaN without a finger line."""
     pointer = Pointer(rig)
-    told = [step.observations for pair in frames for step in pointer.update(pair)]
-    fingers = [[view.finger for view in views] for views in told]
+    observed = [step.observations for pair in frames for step in pointer.update(pair)]
+    fingers = [[view.finger for view in views] for views in observed]
     return np.array(
         [[np.nan if isinstance(f, Status) else f.angle_rad for f in pair] for pair in fingers]
     )
 
 
-def test_pictures_of_twice_the_size_show_the_same():
+def test_images_of_twice_the_size_give_the_same_directions():
     rig = Rig.load(DESK / "rig.toml")
     with ExitStack() as stack:
         sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
@@ -1090,20 +1105,20 @@ def test_pictures_of_twice_the_size_show_the_same():
         for view in rig.views
     )
     turned = directions(replace(rig, views=views), doubled) - directions(rig, frames)
-    # As blurred as they are, they tell no more.
+    # They are interpolated, so they hold no further detail.
     assert np.degrees(np.sqrt(np.nanmean(turned[10:] ** 2))) < SAME_PICTURE_DEG
 
 
-# --- fingers that two views cannot share -------------------------------------------------------
+# --- views that follow different fingers -------------------------------------------------------
 
 
 TIP_MM = (200.0, 150.0, 120.0)
 TARGET_MM = (200.0, 260.0, 0.0)
-ANOTHER_MM = (200.0, 150.0, 200.0)  # off the first one's epipolar lines: along them nothing tells
+ANOTHER_MM = (200.0, 150.0, 200.0)  # off the epipolar lines of TIP_MM, so distinguishable from it
 
 
 class Following:
-    """A view that follows a finger from a place of the world towards the table's middle [mm]."""
+    """A view stub that follows a finger from `tip_mm` towards `TARGET_MM`."""
 
     def __init__(
         self,
@@ -1160,7 +1175,9 @@ def on_table(points: np.ndarray) -> np.ndarray:
         (None, 0.0, False, False),
     ],
 )
-def test_views_that_follow_one_finger_or_two_are_told(other_tip_mm, turn, one_finger, two_fingers):
+def test_views_of_one_finger_and_of_two_are_distinguished(
+    other_tip_mm, turn, one_finger, two_fingers
+):
     rig = SimulatedRig()
     one = Following(rig.cameras[0], rig, TIP_MM, 0.0)
     other = Following(rig.cameras[1], rig, other_tip_mm, turn)
@@ -1170,7 +1187,7 @@ def test_views_that_follow_one_finger_or_two_are_told(other_tip_mm, turn, one_fi
 
 
 def line_to(tip_mm: tuple, camera: Camera) -> FingerLine:
-    """A line from a tip over the table towards its middle."""
+    """Return the finger line from a tip above the table towards `TARGET_MM`."""
     tip, aim = camera.project(np.array([tip_mm, TARGET_MM]))
     angle_rad = float(np.arctan2(*(aim - tip)[::-1]))
     anchor = tip - 30.0 * np.array([np.cos(angle_rad), np.sin(angle_rad)])
@@ -1188,7 +1205,7 @@ def line_to(tip_mm: tuple, camera: Camera) -> FingerLine:
         ((None, None, None), []),
     ],
 )
-def test_a_view_whose_fingertip_no_other_view_has_follows_another_finger(tips_mm, others):
+def test_a_view_whose_fingertip_agrees_with_no_other_view_is_returned(tips_mm, others):
     rig = SimulatedRig(Placement(azimuths_deg=(-20.0, 10.0, 40.0)))
     views = [viewpoint_of(camera, rig) for camera in rig.cameras]
     lines = [
@@ -1196,16 +1213,16 @@ def test_a_view_whose_fingertip_no_other_view_has_follows_another_finger(tips_mm
         for tip_mm, camera in zip(tips_mm, rig.cameras, strict=True)
     ]
     assert other_fingers(views, lines) == others
-    # Where no camera is known, nothing tells.
+    # Without camera centres, tips cannot be compared.
     nowhere = [dataclasses.replace(view, centre=np.full(3, np.nan)) for view in views]
     assert other_fingers(nowhere, lines) == []
 
 
-def test_the_usual_finger_is_as_wide_as_the_usual_template():
+def test_the_average_half_width_is_that_of_the_standard_template():
     assert fp.Template.pistol("none").proportions["half_width"] == HALF_WIDTH
 
 
-def test_a_followed_finger_is_as_wide_as_its_fit_or_as_a_usual_one():
+def test_the_half_width_is_that_of_the_fit_or_of_an_average_finger():
     rig = SimulatedRig()
     (fitted,) = followed(Following(rig.cameras[0], rig, TIP_MM, half_width_px=4.5).track)
     assert fitted.half_width_px == 4.5
@@ -1214,38 +1231,40 @@ def test_a_followed_finger_is_as_wide_as_its_fit_or_as_a_usual_one():
     assert followed(None) == []
 
 
-# --- which digit of a hand points --------------------------------------------------------------
+# --- index finger and thumb --------------------------------------------------------------------
 
 AIM_MM = np.array([200.0, 40.0, 0.0])
 INDEX_MM = 95.0
 THUMB_MM = 60.0
 HALF_WIDTH_MM = 8.0
-SKIN = (110.0, 140.0, 190.0)
+HAND_COLOUR = (110.0, 140.0, 190.0)
 
 
 def thumb_mm(spread_deg: float, roll_deg: float) -> tuple[np.ndarray, np.ndarray]:
-    """Tip of a thumb beside the finger at `TIP_MM`, and where it points on the table.
+    """Return the tip of a thumb beside the finger at `TIP_MM`, and its target on the table.
 
-    It stands off by one angle, and is turned about the finger by the other: aside, down or up.
+    `spread_deg` is its angle to the finger, `roll_deg` its rotation about the finger: 0 sideways.
     """
     spread, roll = np.radians([spread_deg, roll_deg])
     ahead = (AIM_MM - TIP_MM) / np.linalg.norm(AIM_MM - TIP_MM)
-    aside = np.cross(ahead, (0.0, 0.0, 1.0))
-    aside /= np.linalg.norm(aside)
-    off = np.cos(roll) * aside + np.sin(roll) * np.cross(ahead, aside)
+    lateral = np.cross(ahead, (0.0, 0.0, 1.0))
+    lateral /= np.linalg.norm(lateral)
+    off = np.cos(roll) * lateral + np.sin(roll) * np.cross(ahead, lateral)
     along = np.cos(spread) * ahead + np.sin(spread) * off
     tip_mm = TIP_MM - INDEX_MM * ahead + 2.0 * HALF_WIDTH_MM * off + THUMB_MM * along
     return tip_mm, tip_mm - along * tip_mm[2] / along[2]
 
 
-def digit(camera: Camera, tip_mm: np.ndarray, aim_mm: np.ndarray, colour=SKIN) -> FingerDetection:
+def digit(
+    camera: Camera, tip_mm: np.ndarray, aim_mm: np.ndarray, colour=HAND_COLOUR
+) -> FingerDetection:
     tip, aim = camera.project(np.array([tip_mm, aim_mm]))
     angle_rad = float(np.arctan2(*(aim - tip)[::-1]))
     half_width_px = round_tip(camera, tip_mm, HALF_WIDTH_MM, 0.0).half_width_px
     return FingerDetection(tuple(tip), angle_rad, half_width_px, 0.9, np.nan, colour)
 
 
-def digits(rig: SimulatedRig, tip_mm: np.ndarray, aim_mm: np.ndarray, colour=SKIN) -> tuple:
+def digits(rig: SimulatedRig, tip_mm: np.ndarray, aim_mm: np.ndarray, colour=HAND_COLOUR) -> tuple:
     return tuple(digit(camera, tip_mm, aim_mm, colour) for camera in rig.cameras)
 
 
@@ -1254,8 +1273,8 @@ def digits(rig: SimulatedRig, tip_mm: np.ndarray, aim_mm: np.ndarray, colour=SKI
     [(8.0, 0.95, 1.0), (12.0, 0.95, 1.0), (24.0, 0.0, 0.6), (40.0, 0.0, 0.02)],
 )
 @pytest.mark.parametrize("aim_mm", [(200.0, 40.0, 0.0), (330.0, 160.0, 0.0), (120.0, 260.0, 0.0)])
-def test_what_two_views_show_is_no_longer_than_a_finger(length, least, most, aim_mm):
-    """A rod of so many half-widths, however much shorter either view shows it."""
+def test_rods_longer_than_a_finger_score_less(length, least, most, aim_mm):
+    """The length in space [half-widths] counts, not the foreshortened one in either view."""
     rig = SimulatedRig()
     back = np.subtract(TIP_MM, aim_mm) / math.dist(TIP_MM, aim_mm)
     end_mm = TIP_MM + length * HALF_WIDTH_MM * back
@@ -1280,12 +1299,12 @@ def test_an_index_finger_reaches_farther_than_a_thumb(spread_deg, roll_deg):
     assert not reaches_farther(views, index, index)
 
 
-def test_what_is_no_digit_of_a_hand_reaches_nowhere():
+def test_only_digits_of_one_hand_are_compared_by_reach():
     rig = SimulatedRig()
     views = tuple(viewpoint_of(camera, rig) for camera in rig.cameras)
     index, thumb = digits(rig, TIP_MM, AIM_MM), thumb_mm(40.0, 0.0)
     assert reaches_farther(views, digits(rig, *thumb), index)
-    shadow = tuple(0.2 * level for level in SKIN)
+    shadow = tuple(0.2 * level for level in HAND_COLOUR)
     assert not reaches_farther(views, digits(rig, *thumb, shadow), index)
     away_mm = TIP_MM - 2.0 * (AIM_MM - TIP_MM)
     assert not reaches_farther(views, digits(rig, away_mm, AIM_MM), index)
@@ -1309,7 +1328,7 @@ def tried_digit(seen: FingerDetection, hand: float, *, has_come: bool = True) ->
 
 
 def trying(viewpoint: Viewpoint, *trials: SimpleNamespace) -> SimpleNamespace:
-    """A view that tries some fingers, and follows none."""
+    """Return a view stub with trials, which follows no finger."""
     search = SimpleNamespace(
         trials=list(trials), found=None, trial_detections=lambda: [trial.seen for trial in trials]
     )
@@ -1325,11 +1344,11 @@ def trying(viewpoint: Viewpoint, *trials: SimpleNamespace) -> SimpleNamespace:
 
 @pytest.mark.parametrize("has_come", [False, True])
 @pytest.mark.parametrize("thumb_in", [(0, 1), (0,), (1,)])
-def test_a_thumb_does_not_point_beside_an_index_finger(thumb_in, has_come):
-    """However well it is seen, in both views or in one, and though its hand hides the other's."""
+def test_the_index_finger_precedes_the_thumb(thumb_in, has_come):
+    """Although the thumb scores more, in one view or both, and hides the widening of the index."""
     rig = SimulatedRig()
     index = digits(rig, TIP_MM, AIM_MM)
-    # Under the finger: each view's thumb may be the other one's index finger, too.
+    # Below the finger: one view's thumb may also match the other view's index finger.
     thumb = digits(rig, *thumb_mm(20.0, 90.0))
     views = []
     for k, camera in enumerate(rig.cameras):
@@ -1344,7 +1363,7 @@ def test_a_thumb_does_not_point_beside_an_index_finger(thumb_in, has_come):
     assert [pair.trials[k] for k in (0, 1)] == [view.search.trials[0] for view in views]
 
 
-def test_what_another_view_follows_leads_here_about_where_it_was_lost():
+def test_a_trial_beside_another_views_finger_is_scored_by_its_last_direction():
     rig = SimulatedRig()
     followed_finger = digit(rig.cameras[1], TIP_MM, AIM_MM)
     line = SimpleNamespace(tip_px=followed_finger.tip_px, angle_rad=followed_finger.angle_rad)
@@ -1376,7 +1395,7 @@ def test_what_another_view_follows_leads_here_about_where_it_was_lost():
     assert scores(2.0) == []
 
 
-def test_what_reaches_farther_goes_first_if_it_is_as_likely_and_has_come_as_well():
+def test_a_pair_is_behind_one_of_farther_reach_with_comparable_score_and_foreground():
     rig = SimulatedRig()
     index = tried_digit(digit(rig.cameras[0], TIP_MM, AIM_MM), 1.0)
     thumb = tried_digit(digit(rig.cameras[0], *thumb_mm(20.0, 90.0)), 1.0)
@@ -1396,14 +1415,14 @@ def test_what_reaches_farther_goes_first_if_it_is_as_likely_and_has_come_as_well
     assert is_behind([], pair(thumb, 0.9), pair(index, 0.9))
 
 
-def test_what_moves_on_is_no_background_though_it_was_learned_for_one():
+def test_a_moving_trial_is_not_background_although_it_was_learned():
     search, rng = HandSearch(), np.random.default_rng(SEED)
     for k in range(12):
         frame = Frame(k, k / FPS, rng.integers(90, 110, (48, 64), dtype=np.uint8))
         search.update_background(frame)
         search.learn(frame, None)
     shown = {"pose": ((30.0, 20.0), 0.0, 5.0), "length": 8.0, "score": 0.9, "foreground": 0.1}
-    candidate = SimpleNamespace(colour=SKIN)
+    candidate = SimpleNamespace(colour=HAND_COLOUR)
     search.trials = [
         SimpleNamespace(**shown, candidate=candidate, is_moving=is_moving)
         for is_moving in (False, True)
@@ -1432,15 +1451,15 @@ WAITS = ("acquiring", "no-fit")
         ([BENT] * 3 + [("lost", "misfit")] * 2, True),
     ],
 )
-def test_a_finger_that_is_not_seen_is_soon_looked_for_everywhere(frames, is_searching):
-    """None stands for a frame in which it is seen; the others for what the tracker says of them."""
+def test_a_missed_finger_is_soon_searched_in_the_whole_image(frames, is_searching):
+    """None is a frame with a finger line; other entries are the tracker's (status, refusal)."""
     rig = SimulatedRig()
     view = waiting(rig, rig.cameras[0])
     view.view_frame(Frame(0, 0.0, BLACK))
-    for k, told in enumerate([None, *frames]):
+    for k, missed in enumerate([None, *frames]):
         track = followed_track(rig, rig.cameras[0])
-        if told is not None:
-            status, refusal = told
+        if missed is not None:
+            status, refusal = missed
             track = SimpleNamespace(
                 finger_line=None,
                 status=status,
@@ -1455,15 +1474,15 @@ BLACK = np.zeros((480, 640), np.uint8)
 
 
 def waiting(rig: SimulatedRig, camera: Camera) -> HandView:
-    """A view in which a template waits for the hand."""
+    """Return a view whose initial template waits for the hand."""
     start = Start(tip_px=(320.0, 240.0), angle_deg=90.0, length_px=70.0, thumb="none")
     points_px = tuple(map(tuple, camera.project(on_table(rig.plane_points)).tolist()))
-    told = View(name="cam", source="cam.mkv", reference_points_px=points_px, start=start)
-    return HandView(told, rig.plane_points, None, 0.5)
+    configured = View(name="cam", source="cam.mkv", reference_points_px=points_px, start=start)
+    return HandView(configured, rig.plane_points, None, 0.5)
 
 
 def followed_track(rig: SimulatedRig, camera: Camera, turn: float = 0.0) -> SimpleNamespace:
-    """What the tracker says of a frame in which it follows the finger."""
+    """Return the tracker's result for a frame with the finger."""
     track = Following(camera, rig, TIP_MM, turn, half_width_px=7.0).track
     track.status, track.diagnostics = "tracking", SimpleNamespace(refusal=None)
     return track
@@ -1484,8 +1503,8 @@ NO_POINT_FOR = 10
         ([False, None] * NO_POINT_FOR, True),
     ],
 )
-def test_fingers_that_give_no_point_are_looked_for_beside_what_is_followed(points, is_searching):
-    """True and False stand for fingers that do and do not; None for one that is not seen."""
+def test_views_that_give_no_point_search_beside_their_fingers(points, is_searching):
+    """Frames whose fingers give a point (True) or none (False); None if one finger is missed."""
     rig = SimulatedRig()
     views = [waiting(rig, camera) for camera in rig.cameras]
     for k, gives in enumerate(points):
@@ -1504,11 +1523,11 @@ def test_fingers_that_give_no_point_are_looked_for_beside_what_is_followed(point
     assert other is is_searching
 
 
-# --- fingers that two views show unlike wide -----------------------------------------------------
+# --- finger widths and lengths in two views ------------------------------------------------------
 
 
 def nearer(camera: Camera, part: float) -> Camera:
-    """The camera at this part of its distance from the world's origin."""
+    """Return the camera moved to `part` of its distance from the world's origin."""
     pose = camera.camera_from_world.copy()
     pose[:, 3] = -pose[:, :3] @ (part * camera.centre_mm)
     return dataclasses.replace(camera, camera_from_world=pose)
@@ -1521,7 +1540,7 @@ def viewpoint_of(camera: Camera, rig: SimulatedRig) -> Viewpoint:
 
 
 def round_tip(camera: Camera, tip_mm: tuple, radius_mm: float, turn: float) -> FingerDetection:
-    """A round finger's tip: it reaches as far across the camera's ray, whichever way it points."""
+    """Return the tip of a round finger: as wide across the camera's ray in any direction `turn`."""
     one = np.cross(tip_mm - camera.centre_mm, (0.0, 0.0, 1.0))
     other = np.cross(tip_mm - camera.centre_mm, one)
     one, other = one / np.linalg.norm(one), other / np.linalg.norm(other)
@@ -1534,7 +1553,7 @@ def round_tip(camera: Camera, tip_mm: tuple, radius_mm: float, turn: float) -> F
 
 @pytest.mark.parametrize("tip_mm", [(200.0, 150.0, 20.0), (120.0, 260.0, 180.0)])
 @pytest.mark.parametrize(("first_mm", "second_mm"), [(8.0, 8.0), (4.0, 8.0), (12.0, 7.0)])
-def test_a_finger_is_as_wide_from_near_and_far(tip_mm, first_mm, second_mm):
+def test_the_width_ratio_is_corrected_for_distance(tip_mm, first_mm, second_mm):
     rig = SimulatedRig()
     cameras = rig.cameras[0], nearer(rig.cameras[1], 0.6)
     views = tuple(viewpoint_of(camera, rig) for camera in cameras)
@@ -1548,17 +1567,17 @@ def test_a_finger_is_as_wide_from_near_and_far(tip_mm, first_mm, second_mm):
     assert width_ratio(views[::-1], fingers[::-1]) == pytest.approx(-ratio)
 
 
-def test_widths_are_not_compared_where_cameras_are_not_known():
+def test_widths_are_not_compared_without_camera_centres():
     rig = SimulatedRig()
     view = viewpoint_of(rig.cameras[0], rig)
     finger = round_tip(rig.cameras[0], TIP_MM, 8.0, 0.4)
     nowhere = dataclasses.replace(view, centre=np.full(3, np.nan))
     assert np.isnan(width_ratio((view, nowhere), (finger, finger)))
-    assert np.isnan(width_ratio((view, view), (finger, finger)))  # its rays have one direction
+    assert np.isnan(width_ratio((view, view), (finger, finger)))  # coincident cameras
     assert np.isnan(width_ratio((view, view), (finger, finger._replace(half_width_px=0.0))))
 
 
-def test_fingers_of_one_tip_that_are_seen_unlike_wide_are_two_and_give_no_point():
+def test_fingers_of_one_tip_but_different_width_are_two():
     rig = SimulatedRig()
     for half_width_px, is_one in ((7.0, True), (8.5, True), (14.0, False), (3.0, False)):
         one = Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0)
@@ -1570,7 +1589,7 @@ def test_fingers_of_one_tip_that_are_seen_unlike_wide_are_two_and_give_no_point(
 
 
 @pytest.mark.parametrize("tip_mm", [(200.0, 150.0, 60.0), (120.0, 220.0, 180.0), ANOTHER_MM])
-def test_two_views_tell_each_other_how_much_shorter_they_show_a_finger(tip_mm):
+def test_foreshortening_follows_from_two_views(tip_mm):
     rig = SimulatedRig()
     views = [Following(camera, rig, tip_mm, half_width_px=7.0) for camera in rig.cameras]
     compare_lengths(views, PairTests())
@@ -1582,28 +1601,28 @@ def test_two_views_tell_each_other_how_much_shorter_they_show_a_finger(tip_mm):
         assert view.foreshortening == pytest.approx(expected, abs=0.005)
 
 
-def test_a_hand_that_turns_is_shown_shorter_little_by_little():
+def test_foreshortening_is_a_running_mean():
     rig = SimulatedRig()
     now = [Following(camera, rig, TIP_MM, half_width_px=7.0) for camera in rig.cameras]
     compare_lengths(now, PairTests())
     for view in now:
-        told = view.foreshortening
-        view.foreshortening = 0.5 * told
+        exact = view.foreshortening
+        view.foreshortening = 0.5 * exact
         compare_lengths(now, PairTests())
-        assert 0.5 * told < view.foreshortening < 0.6 * told
+        assert 0.5 * exact < view.foreshortening < 0.6 * exact
         for _ in range(60):
             compare_lengths(now, PairTests())
-        assert view.foreshortening == pytest.approx(told, abs=0.01)
+        assert view.foreshortening == pytest.approx(exact, abs=0.01)
 
 
-def test_what_shows_another_finger_or_none_tells_nothing_of_its_length():
+def test_foreshortening_is_unknown_without_a_second_view_of_the_finger():
     rig = SimulatedRig()
     one = Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0)
     for tip_mm, turn in ((None, 0.0), (ANOTHER_MM, np.pi)):
         other = Following(rig.cameras[1], rig, tip_mm, turn, half_width_px=7.0)
         compare_lengths((one, other), PairTests())
         assert one.foreshortening is None
-    # In one plane with both cameras, or seen by cameras that are not known.
+    # In one plane with both camera centres, or with an unknown centre.
     compare_lengths((one, Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0)), PairTests())
     assert one.foreshortening is None
     one.viewpoint = dataclasses.replace(one.viewpoint, centre=np.full(3, np.nan))
@@ -1612,21 +1631,23 @@ def test_what_shows_another_finger_or_none_tells_nothing_of_its_length():
 
 
 @pytest.mark.parametrize(("turned_deg", "is_known"), [(0.0, False), (0.3, False), (15.0, True)])
-def test_a_finger_in_one_plane_with_both_cameras_tells_nothing_of_its_length(turned_deg, is_known):
+def test_foreshortening_is_unknown_for_a_finger_in_one_plane_with_both_cameras(
+    turned_deg, is_known
+):
     rig, tip_mm = SimulatedRig(), np.array(TIP_MM)
     from_between = tip_mm - np.mean([camera.centre_mm for camera in rig.cameras], axis=0)
     upright = np.cross(from_between, rig.cameras[1].centre_mm - rig.cameras[0].centre_mm)
-    aside = np.tan(np.radians(turned_deg)) * np.linalg.norm(from_between)
-    ahead = from_between + aside * upright / np.linalg.norm(upright)
+    offset = np.tan(np.radians(turned_deg)) * np.linalg.norm(from_between)
+    ahead = from_between + offset * upright / np.linalg.norm(upright)
     seen = []
     for camera in rig.cameras:
         tip, further = camera.project(np.array([tip_mm, tip_mm + 0.1 * ahead]))
         seen.append(FingerDetection(tuple(tip), float(np.arctan2(*(further - tip)[::-1])), 7.0))
-    told = foreshortenings(viewpoints(rig), (seen[0], seen[1]))
-    assert list(np.isfinite(told)) == [is_known] * 2
+    ratios = foreshortenings(viewpoints(rig), (seen[0], seen[1]))
+    assert list(np.isfinite(ratios)) == [is_known] * 2
 
 
-def test_what_a_view_follows_is_told_how_much_shorter_it_is_shown():
+def test_the_tracker_receives_the_foreshortening():
     rig = SCENES["plain"]
     view = waiting(rig, rig.cameras[0])
     assert view.foreshortening is None
@@ -1635,18 +1656,18 @@ def test_what_a_view_follows_is_told_how_much_shorter_it_is_shown():
     assert view.tracker.foreshortening == view.foreshortening == 0.8
 
 
-def test_of_a_finger_that_is_let_go_nothing_is_known_of_its_length():
+def test_foreshortening_is_forgotten_with_a_rejected_finger():
     rig = SCENES["plain"]
     points_px = tuple(map(tuple, rig.reference_points_px[0].tolist()))
-    told = View(name="cam", source="cam.mkv", reference_points_px=points_px)
-    view = HandView(told, rig.plane_points, None, 0.5)
+    configured = View(name="cam", source="cam.mkv", reference_points_px=points_px)
+    view = HandView(configured, rig.plane_points, None, 0.5)
     view.foreshortening = 0.8
     for _ in range(LET_GO_WITHIN):
         view.reject_if_flat(1.0)
     assert view.foreshortening is None
 
 
-def test_of_three_views_the_one_that_shows_another_width_is_the_odd_one():
+def test_of_three_views_the_one_of_another_width_is_identified():
     rig = SimulatedRig()
     cameras = (*rig.cameras, nearer(rig.cameras[1], 0.6))
     widths = [round_tip(camera, TIP_MM, 8.0, 0.4).half_width_px for camera in cameras]
@@ -1661,7 +1682,7 @@ def test_of_three_views_the_one_that_shows_another_width_is_the_odd_one():
     assert views[1].log_width_ratio == pytest.approx(np.log(1.8), abs=0.1)
 
 
-def test_what_a_moment_shows_wider_is_hardly_odd_and_what_is_not_seen_not_at_all():
+def test_the_width_ratio_is_a_running_mean_and_unknown_without_a_finger():
     rig = SimulatedRig()
     views = [Following(camera, rig, TIP_MM, half_width_px=7.0) for camera in rig.cameras]
     compare_widths(views)
@@ -1679,14 +1700,14 @@ def test_what_a_moment_shows_wider_is_hardly_odd_and_what_is_not_seen_not_at_all
 
 
 @pytest.mark.parametrize("log_width_ratio", [0.0, 0.2, -0.2, 0.6, -0.6, 1.5])
-def test_a_line_is_as_unsure_as_flanks_of_another_width_can_put_it_off(log_width_ratio):
+def test_the_line_covariance_grows_with_the_width_ratio(log_width_ratio):
     rig = SimulatedRig()
     track = Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0).track
     known = measured_line(track, 0.0)
     doubted = measured_line(
         track, 0.0, AxisCorrection(sigma=sigma_from_width_ratio(log_width_ratio))
     )
-    # One flank where the other view has it, the other where this one does.
+    # One flank as wide as in the other view, the other as in this one.
     off_px = abs(
         7.0 - 7.0 * np.exp(-np.sign(log_width_ratio) * max(abs(log_width_ratio) - 0.25, 0.0))
     )
@@ -1696,13 +1717,13 @@ def test_a_line_is_as_unsure_as_flanks_of_another_width_can_put_it_off(log_width
     assert (doubted.angle_rad, doubted.half_width_px) == (known.angle_rad, 7.0)
 
 
-# --- flanks that are none ------------------------------------------------------------------------
+# --- invisible flanks ----------------------------------------------------------------------------
 
 FLAT_FINGER = SimpleNamespace(tip_px=(258.0, 120.0), angle_rad=0.0)
 
 
 def painted(sigmas_px: tuple[float, float], levels: tuple, blur_px: float = 0.0) -> Frame:
-    """A finger along u, 20 px wide, that ends like blurred steps at its upper and lower flank."""
+    """A finger along u, 20 px wide; its upper and lower flanks are steps blurred by `sigmas_px`."""
     v = np.arange(240.0)
     upper = scipy.stats.norm.cdf((v - 110.0) / sigmas_px[0])
     lower = scipy.stats.norm.sf((v - 130.0) / sigmas_px[1])
@@ -1718,23 +1739,23 @@ def painted(sigmas_px: tuple[float, float], levels: tuple, blur_px: float = 0.0)
 
 @pytest.mark.parametrize(("finger", "table"), [(150.0, 60.0), (40.0, 90.0)])
 @pytest.mark.parametrize("sigmas_px", [(1.0, 1.0), (1.0, 2.0), (2.0, 1.0)])
-def test_the_softer_flank_is_told(finger, table, sigmas_px):
-    told = blur_asymmetry(painted(sigmas_px, ([finger], [table])), FLAT_FINGER, 10.0)
+def test_the_blur_asymmetry_identifies_the_softer_flank(finger, table, sigmas_px):
+    asymmetry = blur_asymmetry(painted(sigmas_px, ([finger], [table])), FLAT_FINGER, 10.0)
     # The normal of a finger along u points to larger v.
     expected = (sigmas_px[1] ** 2 - sigmas_px[0] ** 2) / 10.0**2
-    assert told == pytest.approx(expected, abs=0.015)
+    assert asymmetry == pytest.approx(expected, abs=0.015)
 
 
-def test_a_softer_flank_seems_softer_however_soft():
-    told = [
+def test_the_blur_asymmetry_increases_with_the_blur_of_one_flank():
+    asymmetries = [
         blur_asymmetry(painted((1.0, sigma_px), ([60.0], [150.0])), FLAT_FINGER, 10.0)
         for sigma_px in (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
     ]
-    assert told == sorted(told)
-    assert told[-1] > 0.3**2
+    assert asymmetries == sorted(asymmetries)
+    assert asymmetries[-1] > 0.3**2
 
 
-def test_blur_softens_both_flanks_alike():
+def test_image_blur_leaves_the_asymmetry_unchanged():
     sharp, blurred = (
         blur_asymmetry(painted((1.0, 2.0), ([150.0], [60.0]), blur_px), FLAT_FINGER, 10.0)
         for blur_px in (0.0, 1.5)
@@ -1742,21 +1763,21 @@ def test_blur_softens_both_flanks_alike():
     assert blurred == pytest.approx(sharp, abs=0.015)
 
 
-def test_colours_tell_of_flanks_that_grey_levels_do_not():
-    # Red before green of the same grey level.
+def test_the_blur_asymmetry_is_measured_in_colour_without_grey_contrast():
+    # Red in front of green of the same grey level.
     frame = painted((1.0, 2.0), ([60.0, 40.0, 128.0], [60.0, 85.0, 40.0]))
     grey = Frame(0, 0.0, frame.grey())
     assert blur_asymmetry(frame, FLAT_FINGER, 10.0) == pytest.approx(0.03, abs=0.015)
     assert np.isnan(blur_asymmetry(grey, FLAT_FINGER, 10.0))
 
 
-def test_flanks_beyond_the_picture_tell_nothing():
+def test_the_blur_asymmetry_is_unknown_outside_the_image():
     frame = painted((1.0, 2.0), ([150.0], [60.0]))
     outside = SimpleNamespace(tip_px=(20.0, 120.0), angle_rad=0.0)
     assert np.isnan(blur_asymmetry(frame, outside, 10.0))
 
 
-def test_a_flank_that_shades_off_puts_the_axis_off_by_up_to_half_the_width():
+def test_blur_asymmetry_implies_an_axis_sigma_of_up_to_one_half_width():
     assert sigma_from_blur_asymmetry(0.0) == sigma_from_blur_asymmetry(0.28**2) == 0.0
     doubts = [
         sigma_from_blur_asymmetry(sign * s**2) for s in (0.3, 0.32, 0.34, 0.6) for sign in (1, -1)
@@ -1765,7 +1786,7 @@ def test_a_flank_that_shades_off_puts_the_axis_off_by_up_to_half_the_width():
     assert 0.0 < doubts[0] < doubts[-1] == 1.0
 
 
-def test_a_finger_in_plain_view_is_not_doubted():
+def test_a_finger_with_both_flanks_visible_is_not_corrected():
     rig = Rig.load(DESK / "rig.toml")
     with ExitStack() as stack:
         sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
@@ -1780,7 +1801,7 @@ def test_a_finger_in_plain_view_is_not_doubted():
     assert [o.axis_correction for o in seen] == [AxisCorrection()] * len(seen)
 
 
-def test_people_and_tables_are_told_of_a_flank_that_is_not_the_fingers():
+def test_an_invisible_flank_appears_in_reasons_and_track_rows():
     rig = Rig.load(DESK / "rig.toml")
     with ExitStack() as stack:
         sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
@@ -1790,8 +1811,8 @@ def test_people_and_tables_are_told_of_a_flank_that_is_not_the_fingers():
     unsure = dataclasses.replace(sure, axis_correction=AxisCorrection(sigma=0.5))
     assert "up to 0.5 half-widths off" in unsure.reasons[-1]
     assert "half-widths" not in sure.reasons[-1]
-    aside = dataclasses.replace(sure, axis_correction=AxisCorrection(offset=-0.4, sigma=0.1))
-    assert "a flank does not show: axis 0.4 half-widths aside" in aside.reasons[-1]
+    corrected = dataclasses.replace(sure, axis_correction=AxisCorrection(offset=-0.4, sigma=0.1))
+    assert "a flank does not show: axis 0.4 half-widths aside" in corrected.reasons[-1]
     rows = sure.track_row(), unsure.track_row()
     assert rows[0].tip_u == rows[1].tip_u
     off_px = 0.5 * unsure.finger.half_width_px
@@ -1802,7 +1823,7 @@ def test_people_and_tables_are_told_of_a_flank_that_is_not_the_fingers():
 def lit_finger(light_rad: float, table: float = 70.0) -> Frame:
     """A round finger along u about v = 120, 16 px wide at u = 228, lit from one side.
 
-    The light is as far from the line of sight as told, positive from larger v.
+    `light_rad` is the angle of the light to the line of sight, positive from larger v.
     """
     v, u = np.mgrid[0:960, 0:1280] / 4.0 - 0.375
     y = (v - 120.0) / (8.0 - 0.05 * (u - 228.0))
@@ -1815,7 +1836,7 @@ def lit_finger(light_rad: float, table: float = 70.0) -> Frame:
 
 
 def between_edges(v: float, half_width_px: float) -> SimpleNamespace:
-    """What a tracker makes of edges that lie along u, as far from v as told."""
+    """Return a tracker's result for edges along u, `half_width_px` on either side of v."""
     line = SimpleNamespace(
         anchor_px=(228.0, v),
         tip_px=(258.0, v),
@@ -1830,8 +1851,8 @@ def between_edges(v: float, half_width_px: float) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize("light_rad", [1.1, -1.1])
-def test_half_a_finger_is_told_whole_by_its_shading(light_rad):
-    # What shows before a table as dark as its dark side ends at cos φ half-widths.
+def test_shading_gives_the_axis_of_a_half_visible_finger(light_rad):
+    # In front of a table as dark as its dark side, the finger is visible up to cos φ half-widths.
     hidden_px = 8.0 * (1.0 - np.cos(light_rad))
     track = between_edges(120.0 + 0.5 * hidden_px * np.sign(light_rad), 8.0 - 0.5 * hidden_px)
     flanks = Flanks()
@@ -1841,7 +1862,7 @@ def test_half_a_finger_is_told_whole_by_its_shading(light_rad):
     assert line.anchor_px[1] == pytest.approx(120.0, abs=0.7)
     assert line.tip_px[1] == pytest.approx(120.0, abs=0.7)
     assert line.half_width_px == pytest.approx(8.0, abs=0.8)
-    # It is told how sure that is: some tenths of a px, and a degree or two.
+    # The covariance allows for the correction's error: tenths of a px, and a degree or two.
     off_px, off_rad = np.sqrt(np.diag(line.covariance))
     assert 0.2 < off_px < 1.0
     assert np.radians(0.5) < off_rad < np.radians(3.0)
@@ -1850,7 +1871,7 @@ def test_half_a_finger_is_told_whole_by_its_shading(light_rad):
 
 
 @pytest.mark.parametrize(("light_rad", "table"), [(0.0, 20.0), (0.5, 220.0), (-0.9, 220.0)])
-def test_where_both_flanks_show_shading_tells_no_more(light_rad, table):
+def test_no_shading_correction_where_both_flanks_are_visible(light_rad, table):
     flanks = Flanks()
     for _ in range(9):
         flanks.update(lit_finger(light_rad, table), between_edges(120.0, 8.0))
@@ -1862,41 +1883,41 @@ def test_where_both_flanks_show_shading_tells_no_more(light_rad, table):
     )
 
 
-def test_as_soon_as_both_flanks_show_the_axis_is_between_them():
+def test_the_shading_correction_vanishes_when_both_flanks_become_visible():
     shaded = ShadingFit(offset_px=2.0, turn_rad=0.05, half_width_px=8.0, shown_px=6.0)
-    told = shaded.correction_from_edges(6.0)
-    assert told == pytest.approx((2.0 / 6.0, 0.05, np.log(8.0 / 6.0), 0.0))
+    whole = shaded.correction_from_edges(6.0)
+    assert whole == pytest.approx((2.0 / 6.0, 0.05, np.log(8.0 / 6.0), 0.0))
     half = shaded.correction_from_edges(7.0)
     assert half == pytest.approx((1.0 / 7.0, 0.025, np.log(8.0 / 7.0), 0.0))
     assert (
         shaded.correction_from_edges(8.0) == shaded.correction_from_edges(9.5) == AxisCorrection()
     )
-    # Edges of something slim are no reason to leave it by more.
+    # Edges much closer together do not enlarge the correction further.
     assert shaded.correction_from_edges(2.0).offset * 2.0 == pytest.approx(3.0)
 
 
-def test_most_looks_decide_and_most_fingers_are_looked_at_rarely(monkeypatch):
-    told = ShadingFit(offset_px=2.0, turn_rad=0.05, half_width_px=8.0, shown_px=6.0)
-    answers = iter([told, None, told, None, told, *[None] * 100])
+def test_the_majority_of_shading_fits_decides_and_visible_flanks_are_fitted_rarely(monkeypatch):
+    shaded = ShadingFit(offset_px=2.0, turn_rad=0.05, half_width_px=8.0, shown_px=6.0)
+    answers = iter([shaded, None, shaded, None, shaded, *[None] * 100])
     taken = []
 
-    def look(*args):
+    def fit(*args):
         taken.append(k)
         return next(answers)
 
-    monkeypatch.setattr(ShadingFit, "of", look)
+    monkeypatch.setattr(ShadingFit, "of", fit)
     flanks, track, frame = Flanks(), between_edges(120.0, 6.0), lit_finger(0.0, 20.0)
-    asides = []
-    for k in range(1, 120):  # noqa: B007, what is looked at is noted by its number
+    offsets = []
+    for k in range(1, 120):  # noqa: B007, `fit` notes the number
         flanks.update(frame, track)
-        asides.append(flanks.axis_correction.offset)
+        offsets.append(flanks.axis_correction.offset)
     assert taken[:7] == [1, 4, 8, 12, 16, 20, 24]
-    # Three of five tell, then two, and in the end none does.
-    assert [asides[k - 1] > 0.0 for k in taken[:6]] == [True, False, True, False, True, False]
+    # Three of five fits find an invisible flank, then two, and in the end none.
+    assert [offsets[k - 1] > 0.0 for k in taken[:6]] == [True, False, True, False, True, False]
     assert set(np.diff(taken[9:])) == {12}
 
 
-def test_the_width_that_shading_tells_is_compared():
+def test_views_compare_the_width_given_by_shading():
     rig = SimulatedRig()
     slim, whole = (
         Following(camera, rig, TIP_MM, half_width_px=w)
@@ -1904,19 +1925,18 @@ def test_the_width_that_shading_tells_is_compared():
     )
     compare_widths((slim, whole))
     log_width_ratio = slim.log_width_ratio
-    told = Following(rig.cameras[0], rig, TIP_MM, half_width_px=4.0)
-    told.__class__ = type(
-        "Told", (Following,), {"axis_correction": AxisCorrection(log_width_ratio=np.log(7.0 / 4.0))}
-    )
+    shaded = Following(rig.cameras[0], rig, TIP_MM, half_width_px=4.0)
+    correction = AxisCorrection(log_width_ratio=np.log(7.0 / 4.0))
+    shaded.__class__ = type("Shaded", (Following,), {"axis_correction": correction})
     whole.log_width_ratio = None
-    compare_widths((told, whole))
-    assert told.log_width_ratio == pytest.approx(log_width_ratio + np.log(7.0 / 4.0), abs=1e-9)
-    assert abs(told.log_width_ratio) < 0.1
+    compare_widths((shaded, whole))
+    assert shaded.log_width_ratio == pytest.approx(log_width_ratio + np.log(7.0 / 4.0), abs=1e-9)
+    assert abs(shaded.log_width_ratio) < 0.1
 
 
-def test_a_hand_whose_lit_side_has_the_colour_of_the_table_gives_no_sure_line():
-    # The lower half of the finger shades off into the table; what shows is half a finger. The line
-    # between its edges is doubted, or taken to the side that shades off.
+def test_a_flank_that_fades_into_the_table_is_corrected_or_doubted():
+    # The lower half of the finger fades into the table, and the upper half is visible. The line
+    # between its edges gets a greater covariance, or is moved towards the invisible flank.
     view = HandView(
         SimpleNamespace(
             name="one",

@@ -1,4 +1,4 @@
-"""A person's habit of pointing: models, their choice, and how sure the corrected point is."""
+"""A person's pointing habit: models, their selection, and the corrected point's covariance."""
 
 import math
 
@@ -15,10 +15,10 @@ TWELVE = np.array([[x, y] for x in (60, 150, 250, 340) for y in (60, 200, 340)],
 CENTRE = np.array([200.0, 200.0])
 
 HABIT, SCATTER = 30.0, 10.0
-"""Of the people that are simulated [mm]; the scatter is that of the distance, root mean square."""
+"""Offset and scatter of the simulated people [mm]; the scatter is the RMS distance."""
 
 BY_CHANCE = 0.03
-"""By so much a share of `PEOPLE` may differ from what is stated."""
+"""Greatest deviation of a proportion of `PEOPLE` from its nominal value."""
 
 PEOPLE = 500
 
@@ -48,7 +48,7 @@ def grid():
         (quadratic, HabitModel.QUADRATIC),
     ],
 )
-def test_a_habit_without_scatter_is_found_and_taken_off_exactly(habit, model):
+def test_a_habit_without_scatter_is_estimated_and_corrected_exactly(habit, model):
     points = TWELVE + offset(TWELVE)
     found = Habit.of(points - habit(points), points)
     assert found.model is model
@@ -59,16 +59,16 @@ def test_a_habit_without_scatter_is_found_and_taken_off_exactly(habit, model):
         assert meant.covariance == pytest.approx(np.zeros((2, 2)), abs=1e-9)
 
 
-def test_a_richer_model_needs_targets_enough_to_leave_one_out():
+def test_a_richer_model_needs_enough_targets_for_cross_validation():
     points = FIVE + offset(FIVE)
     assert set(Habit.of(FIVE, points).left_out) == {HabitModel.OFFSET, HabitModel.AFFINE}
     twice = Habit.of(np.tile(FIVE, (2, 1)), np.tile(points, (2, 1)))
-    assert set(twice.left_out) == {HabitModel.OFFSET, HabitModel.AFFINE}  # no more targets
+    assert set(twice.left_out) == {HabitModel.OFFSET, HabitModel.AFFINE}  # the same targets
     points = TWELVE + offset(TWELVE)
     assert set(Habit.of(TWELVE, points).left_out) == set(HabitModel)
 
 
-def test_leaving_out_is_by_target_not_by_visit():
+def test_cross_validation_leaves_out_targets_not_visits():
     rng = np.random.default_rng(5)
     targets = np.repeat(FIVE, 3, axis=0)
     points = targets + offset(targets) + rng.normal(0, 5, targets.shape)
@@ -82,7 +82,7 @@ def test_leaving_out_is_by_target_not_by_visit():
 
 
 @pytest.mark.parametrize("habit", [offset, affine, quadratic])
-def test_the_covariance_of_a_fix_goes_through_the_correction(habit):
+def test_the_covariance_of_a_fix_is_propagated_through_the_correction(habit):
     points = TWELVE + offset(TWELVE)
     found = Habit.of(points - habit(points), points)
     covariance = np.array([[9.0, 4.0], [4.0, 16.0]])
@@ -103,8 +103,8 @@ def test_the_covariance_of_a_fix_goes_through_the_correction(habit):
         assert meant.covariance - exact.covariance == pytest.approx(expected, abs=1e-4)
 
 
-def test_a_mean_has_the_covariance_of_a_mean():
-    """With an offset, all is known in closed form: Student's interval in two dimensions."""
+def test_the_covariance_of_an_offset_is_that_of_a_mean():
+    """An offset has a closed form: Student's interval in two dimensions."""
     rng = np.random.default_rng(2)
     points = FIVE + offset(FIVE) + rng.normal(0, 1, FIVE.shape)
     found = Habit.of(FIVE, points)
@@ -118,7 +118,7 @@ def test_a_mean_has_the_covariance_of_a_mean():
 
 
 @pytest.mark.parametrize("freedom", [2, 4, 8, 18, 1000])
-def test_an_estimated_variance_is_widened_as_f_and_chi_square_say(freedom):
+def test_an_estimated_variance_is_widened_by_the_ratio_of_f_and_chi_square(freedom):
     expected = 2 * stats.f.ppf(0.95, 2, freedom) / stats.chi2.ppf(0.95, 2)
     assert _widening(freedom) == pytest.approx(expected)
 
@@ -127,7 +127,7 @@ def test_an_estimated_variance_is_widened_as_f_and_chi_square_say(freedom):
 
 
 def people(targets, *, grows=0.0, unlike=1.0, seed):
-    """Calibrations of people with a habit of 3 cm in any direction and a scatter of 1 cm."""
+    """Yield calibrations of people with a habit of 3 cm in any direction and 1 cm of scatter."""
     rng = np.random.default_rng(seed)
     scatter = SCATTER * np.array([unlike, 1.0]) / math.hypot(unlike, 1.0)
     for _ in range(PEOPLE):
@@ -144,7 +144,7 @@ def people(targets, *, grows=0.0, unlike=1.0, seed):
         yield Habit.of(targets, pointing(targets)), habit, pointing, rng
 
 
-def test_after_five_targets_four_fifths_of_the_bias_are_gone():
+def test_five_targets_remove_four_fifths_of_the_bias():
     left = []
     for found, habit, _, _ in people(FIVE, seed=7):
         bias = habit(grid())
@@ -157,7 +157,7 @@ def test_after_five_targets_four_fifths_of_the_bias_are_gone():
     ("targets", "grows", "unlike"),
     [(FIVE, 0.0, 1.0), (FIVE, 0.1, 1.0), (TWELVE, 0.1, 1.0), (FIVE, 0.0, 2.0)],
 )
-def test_ellipses_of_many_people_hold_what_they_say(targets, grows, unlike):
+def test_ellipses_of_many_people_have_nominal_coverage(targets, grows, unlike):
     held = []
     for found, _, pointing, rng in people(targets, grows=grows, unlike=unlike, seed=8):
         target = rng.uniform(80, 320, (1, 2))
@@ -170,7 +170,7 @@ def test_ellipses_of_many_people_hold_what_they_say(targets, grows, unlike):
 # --- beyond the targets -----------------------------------------------------------------------
 
 
-def test_beyond_the_targets_the_correction_stays_and_the_ellipse_grows():
+def test_beyond_the_targets_the_correction_is_constant_and_the_ellipse_grows():
     points = TWELVE + affine(TWELVE)
     found = Habit.of(TWELVE, points)
     inside = found.meant([200, 200], np.eye(2))
@@ -185,12 +185,12 @@ def test_beyond_the_targets_the_correction_stays_and_the_ellipse_grows():
         assert meant.beyond == pytest.approx(away)
     assert np.all(np.diff(sigmas) > 0)
     assert np.linalg.norm(np.diff(corrections, axis=0), axis=1) == pytest.approx(0, abs=1e-9)
-    # A spread of the targets away, the habit may be another one, as large.
+    # Far away from the targets, the habit may be a different one of the same size.
     assert sigmas[3] > 3 * HABIT
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_nearest_point_of_the_hull_is_the_nearest(seed):
+def test_the_nearest_point_of_the_hull(seed):
     rng = np.random.default_rng(seed)
     corners = rng.uniform(0, 100, (9, 2))
     found = Habit.of(corners, corners)._hull
@@ -208,7 +208,7 @@ def test_the_nearest_point_of_the_hull_is_the_nearest(seed):
         assert by_point == pytest.approx(np.column_stack(step), abs=1e-6)
 
 
-# --- what is no calibration -------------------------------------------------------------------
+# --- invalid calibrations ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -224,7 +224,7 @@ def test_the_nearest_point_of_the_hull_is_the_nearest(seed):
         (FIVE, FIVE[:, 0], "points: shape (5,) found"),
     ],
 )
-def test_what_tells_no_habit_is_refused(targets, points, words):
+def test_insufficient_calibrations_are_refused(targets, points, words):
     with pytest.raises(InvalidInputError) as raised:
         Habit.of(targets, points)
     assert words in str(raised.value)

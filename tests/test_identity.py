@@ -1,4 +1,4 @@
-"""Whose hand it is: what is recognised, what does not take its place, and who is counted anew."""
+"""Identity of the hand: recognition, rejection of other appearances, and new numbers."""
 
 from types import SimpleNamespace
 
@@ -22,22 +22,22 @@ from fingerpost.pointing import PlaneView
 from fingerpost.silhouette import Capsule
 from fingerpost.simulate import DevicePose, Hand, RodAndProng, Sensor, SimulatedRig
 
-SKIN = (130.0, 158.0, 219.0)
+HAND_COLOUR = (130.0, 158.0, 219.0)
 STEEL = (148.0, 140.0, 133.0)
 HALF_WIDTH_PX = 8.0
 
 
 def appearance(
-    levels=SKIN, *, gain=1.0, half_width_px=HALF_WIDTH_PX, angle_rad=0.3, tip=(320.0, 240.0)
+    levels=HAND_COLOUR, *, gain=1.0, half_width_px=HALF_WIDTH_PX, angle_rad=0.3, tip=(320.0, 240.0)
 ):
-    """How a finger of these colours looks in a picture of its own."""
+    """Return the appearance of a finger with these levels in a picture of that colour."""
     image = np.zeros((480, 640, 3), np.uint8)
     image[:] = np.clip(gain * np.array(levels), 0, 255)
     line = SimpleNamespace(tip_px=tip, angle_rad=angle_rad)
     return Appearance.of(Frame(0, 0.0, image), line, half_width_px)
 
 
-def test_a_hand_is_recognised_in_other_light_and_nearer():
+def test_a_hand_is_recognised_in_other_light_and_at_another_distance():
     memory = Memory()
     memory.learn(appearance(), 1.0)
     changed = ({"gain": 0.6}, {"gain": 1.15}, {"half_width_px": 10.0}, {"angle_rad": 0.8})
@@ -49,7 +49,7 @@ def test_a_hand_is_recognised_in_other_light_and_nearer():
 @pytest.mark.parametrize(
     "other", [appearance(STEEL), appearance((200.0, 60.0, 40.0)), appearance(half_width_px=24.0)]
 )
-def test_what_looks_otherwise_does_not_take_its_place(other):
+def test_another_appearance_is_not_accepted_until_the_hand_is_forgotten(other):
     memory = Memory()
     memory.learn(appearance(), 1.0)
     assert not memory.is_compatible(other, 2.0)
@@ -57,7 +57,7 @@ def test_what_looks_otherwise_does_not_take_its_place(other):
     assert memory.is_compatible(other, 1.1 + MEMORY_S)  # by then the hand is forgotten
 
 
-def test_a_hand_from_another_side_is_another_one():
+def test_a_hand_from_another_side_is_not_recognised():
     memory = Memory()
     memory.learn(appearance(angle_rad=0.3), 1.0)
     opposite = appearance(angle_rad=0.3 + np.pi)
@@ -65,7 +65,7 @@ def test_a_hand_from_another_side_is_another_one():
     assert not memory.recognises(opposite, 2.0)
 
 
-def test_what_is_unlike_the_hand_teaches_nothing():
+def test_an_incompatible_appearance_is_not_learned():
     memory = Memory()
     memory.learn(appearance(), 0.0)
     for k in range(100):
@@ -74,7 +74,7 @@ def test_what_is_unlike_the_hand_teaches_nothing():
     assert memory.recognises(appearance(), 3.0)
 
 
-def test_grey_pictures_tell_by_brightness_and_width():
+def test_grey_hands_are_compared_by_brightness_and_width():
     grey = np.full((480, 640), 150, np.uint8)
     line = SimpleNamespace(tip_px=(320.0, 240.0), angle_rad=0.0)
     seen = Appearance.of(Frame(0, 0.0, grey), line, HALF_WIDTH_PX)
@@ -107,7 +107,7 @@ def test_a_hand_keeps_its_number_while_any_view_follows_it():
     ("recognised", "gap_s", "number"),
     [(True, 1.0, 1), (False, 1.0, 2), (True, MEMORY_S + 1.0, 2)],
 )
-def test_a_hand_that_comes_back(recognised, gap_s, number):
+def test_a_returning_hand_keeps_its_number_if_recognised_in_time(recognised, gap_s, number):
     identity = Identity()
     identity.update([a_view()], 0.0)
     identity.update([a_view(shows=False)], 0.1)
@@ -115,7 +115,7 @@ def test_a_hand_that_comes_back(recognised, gap_s, number):
     assert identity.hand.number == number
 
 
-def test_a_hand_is_presented_when_it_is_held_at_its_template_and_is_a_hand_for_sure():
+def test_a_validated_hand_held_at_its_template_is_presented():
     identity = Identity()
     for k in range(PRESENTED_FRAMES - 1):
         identity.update([a_view(presented=True), a_view(presented=True)], 0.03 * k)
@@ -131,7 +131,7 @@ def test_a_hand_is_presented_when_it_is_held_at_its_template_and_is_a_hand_for_s
     assert identity.hand == (2, False)
 
 
-# What the system itself moves.
+# --- moving bodies of the system -------------------------------------------------------------
 
 RIG = SimulatedRig()
 PLANE = np.array([[0.0, 0.0], [400.0, 0.0], [400.0, 400.0], [0.0, 400.0]])
@@ -139,7 +139,7 @@ ARM = [Capsule((200.0, 200.0, 20.0), (200.0, 200.0, 300.0), 40.0)]
 
 
 class Shown:
-    """A view that follows a finger with its tip at a point of the world [mm]."""
+    """A view stub that follows a finger with its tip at `tip_mm` in the world."""
 
     def __init__(self, camera, tip_mm, *, covered=True):
         on_table = np.pad(PLANE, ((0, 0), (0, 1)))
@@ -160,20 +160,20 @@ def is_hand_of(*tips_mm):
     return [view.decision for view in views]
 
 
-def test_two_tips_meet_where_the_finger_is():
+def test_the_tip_is_triangulated_from_two_views():
     tip_mm = (150.0, 120.0, 90.0)
     views = [Shown(camera, tip_mm) for camera in RIG.cameras]
     np.testing.assert_allclose(meeting_point(*views), tip_mm, atol=1e-6)
 
 
-def test_a_hand_in_front_of_the_arm_is_told_from_it():
+def test_a_hand_in_front_of_the_arm_is_distinguished_from_it():
     in_front, on_arm = (200.0, 60.0, 90.0), (200.0, 170.0, 100.0)
     assert is_hand_of(in_front, in_front) == [True, True]
     assert is_hand_of(on_arm, on_arm) == [False, False]
     assert is_hand_of(in_front, None) == [None, "not judged"]
 
 
-def test_a_jaw_is_the_bodys_own_and_a_hand_that_points_past_it_is_not():
+def test_a_gripper_jaw_belongs_to_the_body_and_a_hand_pointing_past_it_does_not():
     view = Shown(RIG.cameras[0], (0.0, 0.0, 0.0)).viewpoint
     body = Body(view.silhouette(ARM))
     jaw, behind = RIG.cameras[0].project(np.array([(200.0, 190.0, 60.0), (200.0, 190.0, 160.0)]))
@@ -188,7 +188,7 @@ def test_a_jaw_is_the_bodys_own_and_a_hand_that_points_past_it_is_not():
     assert not body.shows_as(None)
 
 
-def test_a_stick_does_not_take_the_place_of_the_hand_that_has_left():
+def test_a_stick_does_not_replace_a_hand_that_has_left():
     rig = SimulatedRig(device=Hand(), sensor=Sensor(channels="bgr"))
     stick = RodAndProng(length_mm=200.0, diameter_mm=16.0, prong_length_mm=0.0)
     on_table = np.pad(PLANE, ((0, 0), (0, 1)))
@@ -204,7 +204,7 @@ def test_a_stick_does_not_take_the_place_of_the_hand_that_has_left():
     pointer, rng = Pointer(config.Rig(plane=plane, views=views)), np.random.default_rng(3)
 
     def ok_frames(first, count, device):
-        """Frames with a point while a device, if any, points about."""
+        """Return the number of frames with a point while a device, if any, is pointing."""
         fixes = []
         for k in range(first, first + count):
             pose = DevicePose.pointing_at(

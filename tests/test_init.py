@@ -1,4 +1,4 @@
-"""`fingerpost init`: a rig file from films alone, and one line where something is not seen."""
+"""`fingerpost init`: a rig file from films only, and a one-line error for what is not found."""
 
 import re
 from pathlib import Path
@@ -22,10 +22,10 @@ A4 = np.array([[0, 0], [210, 0], [210, 297], [0, 297]], np.float32)
 
 
 def picture_of(corners, spots_seed=7, noise=2.0, sheet=True):
-    """A4 paper on a table with spots, as a camera that shows its corners so sees them."""
+    """Return a picture of A4 paper on a table with spots; the paper has these corners in it."""
     spots = np.random.default_rng(spots_seed).normal(size=(90, 90)) * 50
     spots = cv2.resize(spots, (1000, 1000), interpolation=cv2.INTER_CUBIC)
-    # One texel a millimetre, the origin of the plane at (400, 350).
+    # One texel per millimetre, the origin of the plane at (400, 350).
     texels = A4 + np.array([400, 350], np.float32)
     shown = cv2.getPerspectiveTransform(texels, np.asarray(corners, np.float32))
     table = cv2.warpPerspective(110 + spots, shown, SIZE, borderValue=110)
@@ -34,7 +34,7 @@ def picture_of(corners, spots_seed=7, noise=2.0, sheet=True):
 
 
 def film(folder, corners, frames=3, **options):
-    """Stills of a view without a hand."""
+    """Write stills of a view without a hand; return their glob."""
     folder.mkdir()
     for k in range(frames):
         cv2.imwrite(str(folder / f"{k:03d}.png"), picture_of(corners, **options))
@@ -42,7 +42,7 @@ def film(folder, corners, frames=3, **options):
 
 
 def halved(folder):
-    """The same stills in half the size."""
+    """Reduce the stills to half the size; return their glob."""
     for path in folder.glob("*.png"):
         cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), None, fx=0.5, fy=0.5))
     return str(folder / "*.png")
@@ -52,7 +52,7 @@ def init(*arguments):
     return CliRunner().invoke(main, ["init", *map(str, arguments)])
 
 
-def test_small_pictures_do_as_well(tmp_path):
+def test_small_pictures_suffice(tmp_path):
     rng = np.random.default_rng(0)
     for name in "ab":
         film(tmp_path / name, corners_of_view(rng))
@@ -62,7 +62,7 @@ def test_small_pictures_do_as_well(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_finds_a_sheet_in_both_views_and_the_same_corner_first(tmp_path, seed):
+def test_a_sheet_is_found_in_both_views_with_the_same_first_corner(tmp_path, seed):
     rng = np.random.default_rng(seed)
     seen = [corners_of_view(rng), corners_of_view(rng)]
     films = [film(tmp_path / name, corners) for name, corners in zip("ab", seen, strict=True)]
@@ -78,14 +78,14 @@ def test_finds_a_sheet_in_both_views_and_the_same_corner_first(tmp_path, seed):
         distances = np.linalg.norm(np.array(view.reference_points_px)[:, None] - corners, axis=2)
         assert distances.min(axis=1).max() < 0.5
         orders.append(distances.argmin(axis=1).tolist())
-    # A sheet may lie either way round, but in both views alike.
+    # The sheet's orientation is ambiguous by half a turn, but must be the same in both views.
     assert orders[0] == orders[1]
     assert orders[0] in ([0, 1, 2, 3], [2, 3, 0, 1])
     assert 'view "a": no hand is found' in done.output
     assert (tmp_path / "rig.png").exists()
 
 
-def test_says_in_which_view_nothing_is_found(tmp_path):
+def test_the_view_without_a_sheet_is_named(tmp_path):
     corners = corners_of_view(np.random.default_rng(0))
     films = [
         film(tmp_path / "a", corners),
@@ -111,7 +111,7 @@ def test_says_in_which_view_nothing_is_found(tmp_path):
         (("--from", "a.mp4", "b.mp4", "--plane", "A4", "--near", "a=1"), "such as --near left="),
     ],
 )
-def test_refuses_in_one_line(tmp_path, monkeypatch, arguments, line):
+def test_invalid_arguments_are_refused_in_one_line(tmp_path, monkeypatch, arguments, line):
     monkeypatch.chdir(tmp_path)
     done = init(*arguments)
     assert done.exit_code == 2
@@ -119,7 +119,7 @@ def test_refuses_in_one_line(tmp_path, monkeypatch, arguments, line):
     assert line in done.output
 
 
-def test_writes_over_no_rig_file_unasked(tmp_path):
+def test_an_existing_rig_file_is_not_overwritten(tmp_path):
     corners = corners_of_view(np.random.default_rng(0))
     films = [film(tmp_path / name, corners) for name in "ab"]
     rig_file = tmp_path / "rig.toml"
@@ -132,7 +132,7 @@ def test_writes_over_no_rig_file_unasked(tmp_path):
 
 @pytest.fixture(scope="module")
 def two_films(tmp_path_factory):
-    """A folder with stills of two views, on a plain table, and a rig file that was made before."""
+    """A folder with stills of two views of a plain table, and an existing rig file."""
     folder, rng = tmp_path_factory.mktemp("films"), np.random.default_rng(0)
     for name in "ab":
         (folder / name).mkdir()
@@ -142,7 +142,7 @@ def two_films(tmp_path_factory):
     return folder
 
 
-def test_asks_on_a_terminal_until_answers_are_right(two_films):
+def test_questions_on_a_terminal_are_repeated_until_answers_are_valid(two_films):
     with on_a_terminal("init", both=True, asks=True, cwd=two_films) as terminal:
         assert terminal.read_until("View 1.*: $")
         for answer, said in [
@@ -173,7 +173,7 @@ def test_asks_on_a_terminal_until_answers_are_right(two_films):
         (["--from", "a/*.png", "b/*.png", "--plane", "A4", "-o", "new.toml"], "right.*: $"),
     ],
 )
-def test_ctrl_c_at_a_prompt_ends_it_and_writes_no_rig(two_films, given, prompt):
+def test_ctrl_c_at_a_prompt_stops_without_writing_a_rig(two_films, given, prompt):
     with on_a_terminal("init", *given, both=True, asks=True, cwd=two_films) as terminal:
         assert re.search(prompt, terminal.read_until(prompt))
         terminal.interrupt()
@@ -183,7 +183,7 @@ def test_ctrl_c_at_a_prompt_ends_it_and_writes_no_rig(two_films, given, prompt):
     assert not (two_films / "new.toml").exists()
 
 
-def test_names_of_views_and_sizes():
+def test_view_names_and_sizes_of_the_plane():
     assert view_names(["x/left.mp4", "x/right.mp4"]) == ["left", "right"]
     assert view_names(["left/*.jpg", "right/*.jpg"]) == ["left", "right"]
     assert view_names([0, 2]) == ["camera 0", "camera 2"]
@@ -195,7 +195,7 @@ def test_names_of_views_and_sizes():
 
 
 @pytest.mark.skipif(not (SHARED / "data/desk").exists(), reason="needs the shared footage")
-def test_init_then_run_gives_points_without_a_number(tmp_path):
+def test_init_finds_the_reference_points_of_the_shared_footage(tmp_path):
     films = [SHARED / f"data/desk/{side}/*.jpg" for side in ("left", "right")]
     rig_file = tmp_path / "rig.toml"
     done = init("--from", *films, "--plane", "400x400", "-o", rig_file, "--frames", 8)
@@ -210,7 +210,7 @@ def test_init_then_run_gives_points_without_a_number(tmp_path):
 
 
 @pytest.mark.skipif(not (SHARED / "data/mat").exists(), reason="needs the shared footage")
-def test_a_rounded_mat_with_a_corner_out_of_sight(tmp_path):
+def test_a_rounded_mat_with_a_corner_out_of_view(tmp_path):
     films = [SHARED / f"data/mat/{name}.mp4" for name in ("cam0", "cam1")]
     rig_file = tmp_path / "rig.toml"
     done = init("--from", *films, "--plane", "350x220", "-o", rig_file, "--frames", 1)
@@ -218,6 +218,6 @@ def test_a_rounded_mat_with_a_corner_out_of_sight(tmp_path):
     given = Rig.load(SHARED / "data/mat/rig.toml")
     for view, known in zip(Rig.load(rig_file).views, given.views, strict=True):
         points = np.array(view.reference_points_px)
-        # In the other sense: X and Y are seen from above here.
+        # In the opposite order: `init` gives axes X and Y that are right-handed from above.
         off_px = np.linalg.norm(points - np.array(known.reference_points_px)[::-1], axis=1)
         assert off_px.max() < 1.5

@@ -1,4 +1,4 @@
-"""The installation: two packages of OpenCV, one that is broken, one that is too old."""
+"""The installation: two OpenCV packages, broken ones, and ones that are too old."""
 
 import json
 import os
@@ -33,7 +33,7 @@ def getBuildInformation():
 
 @pytest.fixture
 def site(tmp_path):
-    """A folder before all others that Python imports from; and what fills it."""
+    """Function that puts packages into a folder, the first that Python then imports from."""
 
     def fill(packages: dict[str, str], cv2: str | None = None) -> Path:
         for name, version in packages.items():
@@ -51,7 +51,7 @@ def site(tmp_path):
 
 
 def fingerpost(site: Path, *arguments: str) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of a command that finds what is in the folder first."""
+    """Return exit code, stdout and stderr of a command that imports from the folder first."""
     path = os.pathsep.join([str(site), *sys.path])
     done = subprocess.run(
         [sys.executable, "-m", "fingerpost", *arguments],
@@ -64,7 +64,7 @@ def fingerpost(site: Path, *arguments: str) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-def test_an_installation_of_one_opencv_has_nothing_wrong():
+def test_an_installation_with_one_opencv_has_no_findings():
     code, said, error = fingerpost(ROOT, "doctor")
     assert (code, error) == (0, "")
     assert said.endswith("nothing is wrong\n")
@@ -74,7 +74,7 @@ def test_an_installation_of_one_opencv_has_nothing_wrong():
     assert rows["drawing"] in {"EGL", "by the system"} or "install it with: " in rows["drawing"]
 
 
-def test_version_says_what_a_bug_report_needs_without_opencv(site):
+def test_version_lists_packages_even_without_opencv(site):
     code, said, error = fingerpost(site({}, "raise ImportError('broken')"), "--version")
     assert (code, error) == (0, "")
     first, *others = said.splitlines()
@@ -113,7 +113,7 @@ def test_the_shell_completes_commands_and_options(typed, offered):
 
 
 @pytest.mark.parametrize("name", ["opencv-python", "opencv_contrib_python"])
-def test_windows_that_were_taken_away_are_found(site, name):
+def test_a_second_package_that_removed_windows_is_found(site, name):
     code, said, _ = fingerpost(site({name: "4.11.0.86"}), "doctor")
     name = name.replace("_", "-")
     warning = said.splitlines()[-1]
@@ -124,7 +124,7 @@ def test_windows_that_were_taken_away_are_found(site, name):
     assert "environment of its own" in warning
 
 
-def test_what_was_repaired_is_still_told_to_be_two(site):
+def test_two_packages_are_reported_even_after_a_repair(site):
     cv2 = CV2.format(version="4.11.0", toolkit="QT5")
     code, said, _ = fingerpost(site({"opencv-python": "4.11.0.86"}, cv2), "doctor")
     assert code == 0
@@ -133,7 +133,7 @@ def test_what_was_repaired_is_still_told_to_be_two(site):
     assert "imshow" not in said
 
 
-def test_one_too_old_to_be_installed_anew_is_not_named_by_its_version(site):
+def test_an_opencv_too_old_to_reinstall_is_replaced_by_a_supported_version(site):
     cv2 = CV2.format(version="4.5.5", toolkit="GTK3")
     code, said, _ = fingerpost(site({"opencv-python": "4.5.5.64"}, cv2), "doctor")
     assert code == 1
@@ -145,7 +145,7 @@ def test_one_too_old_to_be_installed_anew_is_not_named_by_its_version(site):
 LIBRARY = "libGL.so.1: cannot open shared object file: No such file or directory"
 
 
-def test_one_that_lacks_a_library_of_the_system_is_replaced_by_one_that_needs_none(site):
+def test_an_opencv_that_lacks_a_system_library_is_replaced_by_the_headless_one(site):
     folder = site({"opencv-python": "4.11.0.86"}, f"raise ImportError({LIBRARY!r})")
     code, said, _ = fingerpost(folder, "doctor")
     assert code == 1
@@ -159,7 +159,7 @@ def test_one_that_lacks_a_library_of_the_system_is_replaced_by_one_that_needs_no
     [["run"], ["doctor"], ["advise"], ["experiment"], ["experiment", "--guidance", "1"], ["demo"]],
     ids=" ".join,
 )
-def test_no_command_ends_in_a_traceback_for_want_of_opencv(site, tmp_path, command):
+def test_without_opencv_commands_fail_in_one_line(site, tmp_path, command):
     folder = site({}, f"raise ImportError({LIBRARY!r})")
     rig = ["rig.toml"] if command[0] in {"run", "doctor", "advise"} else []
     assert fingerpost(folder, *command, *rig) == (
@@ -169,13 +169,13 @@ def test_no_command_ends_in_a_traceback_for_want_of_opencv(site, tmp_path, comma
     )
 
 
-def test_an_empty_folder_is_no_opencv(site):
+def test_an_empty_cv2_folder_is_reported(site):
     code, said, _ = fingerpost(site({"opencv-python": "4.11.0.86"}, ""), "doctor")
     assert code == 1
     assert "the folder cv2 is there, but OpenCV is not" in said
 
 
-def test_a_package_that_another_took_away_is_installed_anew():
+def test_a_package_removed_by_another_is_to_be_reinstalled():
     gone = OpenCv("", has_windows=False, error="No module named 'cv2'")
     (fault,) = judge_opencv(gone, {"opencv-python-headless": "4.12.0.88"})
     assert fault.severity == "error"
@@ -185,32 +185,32 @@ def test_a_package_that_another_took_away_is_installed_anew():
     assert fault.right == f"run `{REPAIR} 'opencv-python-headless>=4.10,<6.0'`"
 
 
-def test_an_opencv_of_the_system_is_as_good():
+def test_an_opencv_of_the_system_has_no_fault():
     assert judge_opencv(OpenCv("4.10.0", has_windows=True), {}) == []
 
 
-def test_the_richest_of_three_is_installed_anew():
+def test_of_several_packages_the_most_complete_is_to_be_reinstalled():
     packages = dict.fromkeys(OPENCV_PACKAGES[:3], "4.11.0.86")
     (fault,) = judge_opencv(OpenCv("4.11.0", has_windows=False), packages)
     assert f"{REPAIR} opencv-contrib-python==4.11.0.86" in fault.right
 
 
-def test_programs_get_it_as_json(site):
+def test_findings_are_printed_as_json(site):
     code, said, _ = fingerpost(site({"opencv-python": "4.11.0.86"}), "doctor", "--json")
-    told = json.loads(said)
-    assert (code, told["serious"]) == (0, False)
-    assert told["versions"]["opencv-python"] == "4.11.0.86"
-    assert [finding["severity"] for finding in told["findings"]] == ["warning"]
-    assert examine_installation().as_dict()["opencv"] == told["opencv"]
+    printed = json.loads(said)
+    assert (code, printed["serious"]) == (0, False)
+    assert printed["versions"]["opencv-python"] == "4.11.0.86"
+    assert [finding["severity"] for finding in printed["findings"]] == ["warning"]
+    assert examine_installation().as_dict()["opencv"] == printed["opencv"]
 
 
-def test_frames_are_those_of_a_rig():
+def test_the_frames_option_needs_a_rig_file():
     code, said, error = fingerpost(ROOT, "doctor", "--frames", "3")
     assert (code, said) == (2, "")
     assert "--frames goes with a rig file; name one" in error
 
 
-def test_the_versions_are_those_that_the_package_asks_for():
+def test_the_supported_versions_are_those_of_the_dependency():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     (wanted,) = [line for line in project["dependencies"] if "opencv" in line]
     (least, minor), (limit, _) = OPENCV_VERSIONS

@@ -1,4 +1,4 @@
-"""How the program ends: by Ctrl-C where a library cannot bear it, and beside a stuck device."""
+"""How the program ends: by Ctrl-C inside libraries and imports, and with a stuck device."""
 
 import os
 import signal
@@ -42,7 +42,7 @@ def stopping(monkeypatch):
     signal.signal(signal.SIGINT, before)
 
 
-def test_the_handler_runs_at_once_and_its_exception_at_the_end(stopping):
+def test_the_handler_runs_at_once_and_its_exception_is_raised_at_the_end(stopping):
     seen = []
 
     def work():
@@ -55,7 +55,7 @@ def test_the_handler_runs_at_once_and_its_exception_at_the_end(stopping):
     assert seen == [signal.SIGINT]
 
 
-def test_the_handler_is_as_before_afterwards(stopping):
+def test_the_previous_handler_is_restored(stopping):
     handler = signal.getsignal(signal.SIGINT)
     with uninterrupted():
         pass
@@ -64,12 +64,12 @@ def test_the_handler_is_as_before_afterwards(stopping):
         signal.raise_signal(signal.SIGINT)
 
 
-def test_an_error_of_the_block_is_kept_where_no_signal_came(stopping):
+def test_an_error_of_the_block_is_raised_without_a_signal(stopping):
     with pytest.raises(ValueError, match="of the block"), uninterrupted():
         raise ValueError("of the block")
 
 
-def test_another_thread_is_left_alone(stopping):
+def test_other_threads_do_not_change_the_handler(stopping):
     passed = []
 
     def work():
@@ -108,14 +108,14 @@ while stopped < 400:
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="POSIX timers")
-def test_writing_words_survives_interrupts():
+def test_drawing_text_survives_interrupts():
     done = subprocess.run([sys.executable, "-c", HAMMERED], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
 
 # --- while the program is loaded --------------------------------------------------------------
 
-# Ctrl-C comes as a module is looked for, which takes most of the time of an import.
+# Ctrl-C arrives while a module is searched for, which takes most of the time of an import.
 LOADED = """
 import os, signal, sys
 
@@ -135,7 +135,7 @@ main()
 
 
 def interrupted(module: str, *arguments: str) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of a command that is interrupted as it imports a module."""
+    """Return exit code, stdout and stderr of a command interrupted while it imports a module."""
     command = [sys.executable, "-c", LOADED, module, *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
     return done.returncode, done.stdout, done.stderr
@@ -155,18 +155,18 @@ def interrupted(module: str, *arguments: str) -> tuple[int, str, str]:
         "cv2.version",
     ],
 )
-def test_ctrl_c_while_the_program_is_loaded_ends_it_without_a_word(module):
+def test_ctrl_c_during_imports_ends_the_program_silently(module):
     assert interrupted(module, "run", "rig.toml") == (130, "", "")
 
 
-def test_ctrl_c_is_heard_before_and_after_imports_too():
+def test_ctrl_c_is_handled_during_later_imports():
     assert interrupted("fingerpost.doctor", "doctor", "rig.toml") == (130, "", "")
     code, said, error = interrupted("no.such.module", "run", "no-such-rig.toml")
     assert (code, said) == (2, "")
     assert "no-such-rig.toml" in error
 
 
-def test_a_background_job_goes_on_ignoring_ctrl_c_while_it_is_loaded():
+def test_a_background_job_ignores_ctrl_c_during_imports():
     ignoring = f"import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n{LOADED}"
     command = [sys.executable, "-c", ignoring, "numpy", "run", "no-such-rig.toml"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
@@ -174,7 +174,7 @@ def test_a_background_job_goes_on_ignoring_ctrl_c_while_it_is_loaded():
     assert "no-such-rig.toml" in done.stderr
 
 
-def test_the_handler_of_ctrl_c_is_as_before_once_all_is_loaded(stopping):
+def test_the_handler_of_ctrl_c_is_restored_after_imports(stopping):
     handler = signal.getsignal(signal.SIGINT)
     with ending_at_once():
         assert signal.getsignal(signal.SIGINT) is handler  # of a program's own
@@ -184,7 +184,7 @@ def test_the_handler_of_ctrl_c_is_as_before_once_all_is_loaded(stopping):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_nothing_heavy_is_loaded_before_ctrl_c_is_heard():
+def test_no_heavy_import_precedes_the_ctrl_c_handler():
     program = """
 import sys, fingerpost.__main__
 print(sorted({"click", "numpy", "cv2", "msgspec", "typing"} & set(sys.modules)))
@@ -193,12 +193,12 @@ print(sorted({"click", "numpy", "cv2", "msgspec", "typing"} & set(sys.modules)))
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
-def test_the_command_and_the_module_begin_alike():
+def test_the_command_and_the_module_have_one_entry_point():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert project["scripts"] == {"fingerpost": "fingerpost.__main__:main"}
 
 
-def test_what_the_package_offers_is_what_its_modules_define():
+def test_exported_names_are_defined_in_the_package():
     assert set(fingerpost.__all__) <= set(dir(fingerpost))
     for name in set(fingerpost.__all__) - {"__version__"}:
         offered = getattr(fingerpost, name)
@@ -208,7 +208,7 @@ def test_what_the_package_offers_is_what_its_modules_define():
         fingerpost.Pionter  # noqa: B018
 
 
-# The interpreter is torn down for 2 s, in the midst of which the stream's time limit is up.
+# Shutdown of the interpreter takes 2 s, during which the stream's time limit expires.
 STUCK = """
 import socket, sys, threading, time, types
 import cv2

@@ -1,4 +1,4 @@
-"""Pictures of any size: large ones are followed at a reduced size, and told of in their own."""
+"""Pictures of any size: large ones are tracked at a reduced size and reported in full pixels."""
 
 import math
 
@@ -21,7 +21,7 @@ SMALL = Placement(width_px=320, height_px=240)
 
 
 def enlarged(view: View) -> View:
-    """The view of pictures whose pixels are squares of so many."""
+    """Return the view of pictures enlarged by `TIMES_AS_LARGE`."""
 
     def whole(px):
         return tuple(TIMES_AS_LARGE * (c + 0.5) - 0.5 for c in px)
@@ -58,23 +58,23 @@ def large_steps():
     return pose, rig, list(steps(pointer, frames()))
 
 
-def test_large_pictures_give_the_point_that_is_pointed_at(large_steps):
-    pose, _, told = large_steps
-    assert told[-1].fix.status is Status.OK
-    assert math.dist(told[-1].fix.point, pose.indicated_mm) < 5.0
+def test_large_pictures_give_the_indicated_point(large_steps):
+    pose, _, results = large_steps
+    assert results[-1].fix.status is Status.OK
+    assert math.dist(results[-1].fix.point, pose.indicated_mm) < 5.0
 
 
-def test_the_pixels_of_tables_are_those_of_the_source(large_steps):
-    pose, rig, told = large_steps
-    assert max(told[-1].observations[0].frame.image.shape) <= LARGEST_PX
-    for seen, truth in zip(told[-1].observations, rig.truth(pose).views, strict=True):
+def test_tables_contain_pixels_of_the_source(large_steps):
+    pose, rig, results = large_steps
+    assert max(results[-1].observations[0].frame.image.shape) <= LARGEST_PX
+    for seen, truth in zip(results[-1].observations, rig.truth(pose).views, strict=True):
         tip_px = TIMES_AS_LARGE * (truth.finger.apex_pictured_px + 0.5) - 0.5
         row = seen.track_row()
         assert math.dist((row.tip_u, row.tip_v), tip_px) < 2.0 * TIMES_AS_LARGE
         assert row.sigma_offset_px > seen.finger.covariance[0, 0] ** 0.5
 
 
-def test_a_picture_that_is_no_larger_stays_itself():
+def test_a_picture_within_the_limit_is_not_copied():
     picture = np.zeros((30, 40), np.uint8)
     reduction = Reduction.of(picture.shape, 40)
     assert reduction.factor == 1
@@ -82,17 +82,17 @@ def test_a_picture_that_is_no_larger_stays_itself():
     assert Reduction.of((30, 41), 40).factor == 2
 
 
-def test_pixels_of_a_reduced_picture_are_means_and_stand_in_their_middle():
+def test_pixels_of_a_reduced_picture_are_means_at_the_centre_of_their_blocks():
     picture = np.arange(7 * 11, dtype=np.uint8).reshape(7, 11)
     reduced = Reduction(3).picture(picture)
     assert reduced.shape == (2, 3)
     assert reduced[1, 2] == round(picture[3:6, 6:9].mean())
-    assert Reduction(3).whole((2, 1)).tolist() == [7.0, 4.0]  # the middle one of those nine
+    assert Reduction(3).whole((2, 1)).tolist() == [7.0, 4.0]  # centre of those nine pixels
     assert Reduction(3).points((7.0, 4.0)).tolist() == [2.0, 1.0]
     assert transfer_to_image(Reduction(3).whole_from_reduced, [[2.0, 1.0]]).tolist() == [[7, 4]]
 
 
-def test_a_lens_bends_the_reduced_picture_alike():
+def test_a_reduced_lens_has_the_same_distortion():
     lens = Lens(fx=900.0, fy=880.0, cx=640.0, cy=350.0, k1=-0.2, k2=0.03)
     points_px = np.array([[100.0, 80.0], [1200.0, 500.0]])
     reduction = Reduction(4)
@@ -100,7 +100,7 @@ def test_a_lens_bends_the_reduced_picture_alike():
     np.testing.assert_allclose(reduction.whole(bent), lens.distort(points_px), atol=1e-9)
 
 
-def test_a_motion_of_the_plane_is_the_same_in_pictures_of_either_size():
+def test_a_plane_motion_is_scaled_with_its_covariance():
     rng = np.random.default_rng(0)
     now_from_first = np.eye(3) + rng.normal(0, [[1e-3] * 3] * 2 + [[1e-6, 1e-6, 0]], (3, 3))
     spread = rng.normal(size=(9, 9))
@@ -119,7 +119,7 @@ def test_a_motion_of_the_plane_is_the_same_in_pictures_of_either_size():
     )
 
 
-def test_a_view_is_told_in_reduced_pixels_whole():
+def test_all_pixel_values_of_a_view_are_reduced():
     view = View(
         name="left",
         source=0,

@@ -33,7 +33,7 @@ def opencv(lens):
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_distortion_is_opencvs(lens):
+def test_distortion_equals_opencvs(lens):
     K, coefficients = opencv(lens)
     pinhole = image_points(31)
     directions = (pinhole - K[:2, 2]) / np.diag(K)[:2]
@@ -43,7 +43,7 @@ def test_distortion_is_opencvs(lens):
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_undistortion_is_opencvs(lens):
+def test_undistortion_equals_opencvs(lens):
     K, coefficients = opencv(lens)
     shown = image_points(32)
     many = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
@@ -61,28 +61,28 @@ def test_undistortion_is_opencvs(lens):
     st.floats(0.0, 0.999999) | st.sampled_from([0.0, 1e-12, 1 - 1e-9]),
     st.floats(0, 2 * np.pi),
 )
-def test_undistortion_undoes_distortion_up_to_the_fold(k1, k2, share, direction):
+def test_undistortion_inverts_distortion_up_to_the_fold(k1, k2, share, direction):
     lens = Lens(600.0, 600.0, 0.0, 0.0, k1, k2)
     radii = np.linspace(0, 3, 300001)
     slope = 1 + 3 * k1 * radii**2 + 5 * k2 * radii**4
     fold = radii[np.argmax(slope <= 0)] if (slope <= 0).any() else 2.5
     r = share * (fold - 1e-5)
     pinhole = 600 * r * np.array([np.cos(direction), np.sin(direction)])
-    # Near the fold the map is flat: rounding of the image is a larger error of the radius.
+    # Near the fold the slope of the map vanishes, which amplifies rounding of the image.
     flat = 1 + 3 * k1 * r**2 + 5 * k2 * r**4
     assume(flat > 1e-6)
     back = lens.undistort(lens.distort(pinhole))
     assert np.allclose(back, pinhole, rtol=0, atol=1e-10 / flat)
 
 
-def test_the_principal_point_stays():
+def test_the_principal_point_is_fixed():
     centre = [WEBCAM.cx, WEBCAM.cy]
     assert np.array_equal(WEBCAM.distort(centre), centre)
     assert np.array_equal(WEBCAM.undistort(centre), centre)
 
 
-def test_beyond_the_fold_is_nan_and_only_there():
-    # k1 = −0.2: the fold is at r = √(5/3), shown at two thirds of that.
+def test_points_beyond_the_fold_and_only_those_are_nan():
+    # k1 = −0.2: the fold is at r = √(5/3), distorted to two thirds of that.
     fold = np.sqrt(5 / 3)
     inside, outside = 0.999 * fold, 1.001 * fold
     centre = np.array([WEBCAM.cx, WEBCAM.cy])
@@ -103,7 +103,7 @@ def test_pincushion_distortion_has_no_fold():
 
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("way", ["distort", "undistort"])
-def test_jacobians_meet_central_differences(lens, way):
+def test_jacobians_agree_with_central_differences(lens, way):
     shown = image_points(33, 20)
     for point, analytic in zip(shown, getattr(lens, f"{way}_jacobian")(shown), strict=True):
         numeric = central_differences(getattr(lens, way), point, [600.0, 600.0])
@@ -111,7 +111,7 @@ def test_jacobians_meet_central_differences(lens, way):
 
 
 def shown_finger(lens, first, last, count=41):
-    """Line fitted to the distorted image of a straight finger, as a contour tracker would."""
+    """Fit a line to the distorted image of a straight finger, as a contour tracker does."""
     samples = lens.distort(np.linspace(first, last, count))
     anchor = samples.mean(axis=0)
     tangent = np.linalg.svd(samples - anchor)[2][0]
@@ -121,7 +121,7 @@ def shown_finger(lens, first, last, count=41):
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_the_line_of_a_straight_finger_comes_back(lens):
+def test_the_line_of_a_straight_finger_is_recovered(lens):
     rng = np.random.default_rng(34)
     for _ in range(50):
         first = rng.uniform([60, 60], [580, 420])
@@ -132,26 +132,26 @@ def test_the_line_of_a_straight_finger_comes_back(lens):
         line = line_at_angle(straight, straight_angle)
         assert np.abs(distance(line, [first, last])).max() < 0.01
         assert np.cos(straight_angle - turn) > 0
-        # The points the line is led through matter: through the anchor alone it stays bent away.
+        # Undistorting two points of the line is essential: the anchor alone leaves an offset.
         through_anchor = line_at_angle(lens.undistort(anchor), straight_angle)
         if abs(distance(through_anchor, first)) > 0.05:
             assert np.abs(distance(line, first)) < abs(distance(through_anchor, first)) / 4
 
 
-def test_it_does_not_matter_where_a_line_is_told():
+def test_the_result_does_not_depend_on_the_anchor():
     covariance, angle, half_length = np.array([[0.04, 2e-4], [2e-4, 4e-6]]), 0.6, 40.0
     middle = np.array([560.0, 90.0])
     expected = WEBCAM.undistort_line(middle, angle, covariance, half_length)
     for ahead in (-55.0, 12.0):
         anchor = middle - ahead * np.array([np.cos(angle), np.sin(angle)])
         back = np.array([[1.0, -ahead], [0.0, 1.0]])
-        told = back @ covariance @ back.T
-        same = WEBCAM.undistort_line(anchor, angle, told, half_length, ahead)
+        moved = back @ covariance @ back.T
+        same = WEBCAM.undistort_line(anchor, angle, moved, half_length, ahead)
         for one, other in zip(same, expected, strict=True):
             assert np.allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
-def test_no_distortion_leaves_the_line():
+def test_a_lens_without_distortion_keeps_the_line():
     lens = Lens(600.0, 610.0, 320.0, 240.0, 0.0)
     covariance = np.array([[0.01, 1e-5], [1e-5, 1e-6]])
     anchor, angle, after = lens.undistort_line([200, 100], 3.0, covariance, 40.0)
@@ -160,7 +160,7 @@ def test_no_distortion_leaves_the_line():
     assert np.allclose(after, covariance, rtol=1e-12)
 
 
-def test_the_covariance_of_the_line_meets_monte_carlo():
+def test_the_covariance_of_the_line_agrees_with_monte_carlo():
     rng = np.random.default_rng(35)
     lens = Lens(622.0, 400.0, 319.5, 239.5, -0.3)
     covariance = np.array([[0.04, 2e-4], [2e-4, 4e-6]])
@@ -188,7 +188,7 @@ def test_a_line_outside_the_domain_is_nan():
 
 
 def lens_errors_mm(correct_references, correct_lines):
-    """Errors of the indicated point on the close webcam rig, k1 = −0.2, over random rods."""
+    """Return errors of the indicated point for random rods before close webcams, k1 = −0.2."""
     rng = np.random.default_rng(36)
     cameras = [camera(a, distance_mm=750.0, focal_px=622.0) for a in (-15.0, 15.0)]
     lens = Lens(622.0, 622.0, 319.5, 239.5, -0.2)
@@ -219,7 +219,7 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def test_the_close_webcam_is_right_only_if_both_are_corrected():
+def test_references_and_lines_must_both_be_corrected_for_the_lens():
     assert rms(lens_errors_mm(True, True)) <= 0.02
     ignored = rms(lens_errors_mm(False, False))
     assert ignored > 3.0

@@ -1,4 +1,4 @@
-"""The operator's page without a browser: what is said, drawn, played, kept and handed on."""
+"""The operator's page without a browser: headline, scene, player, reel, control, main loop."""
 
 import asyncio
 import contextlib
@@ -34,7 +34,7 @@ from fingerpost.live.words import headline
 from fingerpost.pipeline import Pointer
 from fingerpost.targets import Target, Targets
 
-# --- what is shown of a moment ---------------------------------------------------------------
+# --- headline and scene ----------------------------------------------------------------------
 
 FRAMES = 40
 
@@ -69,23 +69,23 @@ def shown(run, k=FRAMES - 1, trail=()):
 
 def test_the_headline_of_a_point_is_its_numbers(run):
     fix = run[2][-1].fix
-    told = headline(moment(run), 1)
+    summary = headline(moment(run), 1)
     sigma = np.sqrt(np.diag(fix.covariance))
-    assert told.status == "ok"
-    assert told.said == ""
-    assert [float(n) for n in told.point] == pytest.approx([*fix.point, *sigma], abs=0.05)
-    assert f"{math.degrees(fix.crossing_angle_rad):.0f}°" in told.detail
+    assert summary.status == "ok"
+    assert summary.said == ""
+    assert [float(n) for n in summary.point] == pytest.approx([*fix.point, *sigma], abs=0.05)
+    assert f"{math.degrees(fix.crossing_angle_rad):.0f}°" in summary.detail
 
 
 def test_the_headline_without_a_point_says_which_view_and_why(run):
-    told = headline(moment(run, 0), 1)
-    assert told.point is None
-    assert told.status == "acquiring"
-    assert "left" in told.said
-    assert told.detail
+    summary = headline(moment(run, 0), 1)
+    assert summary.point is None
+    assert summary.status == "acquiring"
+    assert "left" in summary.said
+    assert summary.detail
 
 
-def test_a_lost_picture_is_said_of_its_view_alone(run):
+def test_a_lost_picture_is_reported_for_its_view_only(run):
     rig = run[0]
     pointer = Pointer(rig)
     with open_views(rig.sources) as sources:
@@ -94,9 +94,9 @@ def test_a_lost_picture_is_said_of_its_view_alone(run):
         list(pointer.update(together))
     lost = Loss(frames[-1][0].index, frames[-1][0].time_s, "its picture is damaged")
     (step,) = pointer.update([lost, frames[-1][1]])
-    told = headline(Moment.of(step, 0, 0.0, 0.0), 1)
-    assert told.said == "left has no picture"
-    assert told.detail == "its picture is damaged"
+    summary = headline(Moment.of(step, 0, 0.0, 0.0), 1)
+    assert summary.said == "left has no picture"
+    assert summary.detail == "its picture is damaged"
     scene = scene_of(Moment.of(step, 0, 0.0, 0.0), rig_scene(run), ())
     assert scene["pictures"][0] == 0
     assert "contour" not in scene["views"][0]
@@ -115,10 +115,10 @@ def test_targets_are_on_the_plan_with_the_probability_of_each(run):
     scene = RigScene.of(
         "clip", "mm", pointer.plane_views, rig.sources, targets=targets, is_live=False, frames=None
     )
-    told = scene.as_dict()["targets"]
-    assert [target["name"] for target in told] == ["cup", "home"]
-    assert told[0]["corners"] == [fix.point.tolist()]
-    assert [(target["radius"], target["rest"]) for target in told] == [(20.0, False), (0.0, True)]
+    listed = scene.as_dict()["targets"]
+    assert [target["name"] for target in listed] == ["cup", "home"]
+    assert listed[0]["corners"] == [fix.point.tolist()]
+    assert [(target["radius"], target["rest"]) for target in listed] == [(20.0, False), (0.0, True)]
     plan = scene_of(Moment.of(step, 0, 0.0, 0.0), scene, ())["plan"]
     assert plan["targets"] == pytest.approx([answers["cup"], answers["home"]], abs=1e-3)
     assert "targets" not in shown(run, 0)["plan"]  # no point yet
@@ -155,23 +155,23 @@ def test_finger_lines_and_references_are_drawn_where_they_were_seen(run):
 
 def test_constraint_lines_on_the_plan_are_those_of_the_fix(run):
     step = run[2][-1]
-    for told, line in zip(shown(run)["plan"]["lines"], step.fix.constraint_lines, strict=True):
-        ends = np.reshape(told["ends"], (2, 2))
+    for drawn, line in zip(shown(run)["plan"]["lines"], step.fix.constraint_lines, strict=True):
+        ends = np.reshape(drawn["ends"], (2, 2))
         assert np.abs(np.column_stack([ends, [1, 1]]) @ line.line).max() < 0.01
-        band = np.reshape(told["band"], (-1, 2))
+        band = np.reshape(drawn["band"], (-1, 2))
         half = len(band) // 2
         middle = (band[:half] + band[half:][::-1]) / 2
         assert np.abs(np.column_stack([middle, np.ones(half)]) @ line.line).max() < 0.01
 
 
-def test_what_cannot_be_drawn_is_left_out(run):
+def test_a_frame_without_a_point_has_no_point_and_no_ellipse(run):
     scene = shown(run, 0)
     assert "point" not in scene["plan"]
     assert "ellipse" not in scene["views"][0]
     json.dumps(scene, allow_nan=False)
 
 
-def test_pictures_travel_with_what_is_drawn_over_them(run):
+def test_a_message_carries_the_pictures_under_its_drawings(run):
     import cv2
 
     message = Composer(rig_scene(run)).message(moment(run))
@@ -214,7 +214,7 @@ def test_codes_are_letters_for_the_fix_and_each_view_and_a_digit_for_the_ellipse
 
 
 class Clock:
-    """A time that passes when somebody sleeps."""
+    """A clock that only the timeouts of `asyncio.wait_for` advance."""
 
     def __init__(self, monkeypatch):
         self.now_s = 100.0
@@ -240,14 +240,14 @@ def message(number, interval_s=0.04):
 
 
 class Recording:
-    """A player, a loop that makes as many of its moments as are asked for, and what was shown."""
+    """A player, a main loop that makes the moments it asks for, and the moments shown."""
 
-    def __init__(self, monkeypatch, frames=50, told=50):
+    def __init__(self, monkeypatch, frames=50, announced=50):
         self.clock = Clock(monkeypatch)
         self.frames, self.made, self.allowed = frames, 0, 0
         self.shown = []
         self.loop = asyncio.new_event_loop()
-        self.player = Player(self.ask, self.show, told, self.clock)
+        self.player = Player(self.ask, self.show, announced, self.clock)
 
     def ask(self, steps):
         self.allowed = max(self.allowed, steps)
@@ -257,7 +257,7 @@ class Recording:
         self.shown.append((number, self.clock.now_s))
 
     def run(self, turns, script=()):
-        """Let the player run for so many turns of the event loop, and the loop beside it."""
+        """Run the player and the main loop for `turns` iterations of the event loop."""
         script = dict(script)
 
         async def together():
@@ -304,13 +304,13 @@ def test_a_recording_is_played_at_its_own_pace_to_its_end(recorded):
     assert not recording.player.is_playing
 
 
-def test_only_what_is_to_be_shown_soon_is_tracked(recorded):
+def test_frames_are_tracked_shortly_before_they_are_shown(recorded):
     recording = recorded()
     recording.run(60, {20: lambda: recording.player.stop()})
     assert recording.made <= recording.player.shown + 5
 
 
-def test_stopped_it_shows_nothing_more_and_goes_on_where_it_was(recorded):
+def test_a_stopped_player_shows_nothing_and_resumes_where_it_stopped(recorded):
     recording = recorded()
     recording.run(30, {10: lambda: recording.player.stop()})
     stood = list(recording.numbers)
@@ -320,7 +320,7 @@ def test_stopped_it_shows_nothing_more_and_goes_on_where_it_was(recorded):
     assert recording.numbers == list(range(50))
 
 
-def test_steps_go_to_and_fro_without_tracking_anew(recorded):
+def test_steps_back_and_forward_do_not_track_again(recorded):
     recording = recorded()
     recording.run(40, {12: lambda: recording.player.step(-2)})
     at, made = recording.player.shown, recording.made
@@ -330,7 +330,7 @@ def test_steps_go_to_and_fro_without_tracking_anew(recorded):
     assert recording.made == made
 
 
-def test_a_jump_ahead_runs_there_and_shows_that_one(recorded):
+def test_a_jump_ahead_tracks_up_to_its_frame_and_shows_it(recorded):
     recording = recorded()
     recording.player.stop()
     recording.run(20, {0: lambda: recording.player.go_to(33)})
@@ -339,29 +339,29 @@ def test_a_jump_ahead_runs_there_and_shows_that_one(recorded):
 
 
 @pytest.mark.parametrize(("number", "shown"), [(-5, 0), (10**9, 49)])
-def test_jumps_end_at_the_ends(recorded, number, shown):
+def test_jumps_are_clamped_to_the_recording(recorded, number, shown):
     recording = recorded()
     recording.player.stop()
     recording.run(60, {0: lambda: recording.player.go_to(number)})
     assert recording.player.shown == shown
 
 
-def test_a_recording_shorter_than_it_says_ends_where_it_ends(recorded):
-    recording = recorded(frames=20, told=50)
+def test_a_recording_shorter_than_announced_ends_at_its_last_frame(recorded):
+    recording = recorded(frames=20, announced=50)
     recording.player.stop()
     recording.run(60, {0: lambda: recording.player.go_to(45)})
     assert recording.player.shown == 19
     assert recording.player.total == 20
 
 
-def test_played_again_at_the_end_it_begins_anew(recorded):
-    recording = recorded(frames=5, told=5)
+def test_play_at_the_end_starts_from_the_first_frame(recorded):
+    recording = recorded(frames=5, announced=5)
     recording.run(300)
     recording.run(300, {0: recording.player.play})
     assert recording.numbers == [*range(5), *range(5)]
 
 
-def test_a_reel_gives_back_what_it_was_given():
+def test_a_reel_returns_the_messages_it_stores():
     reel = Reel()
     for k in range(100):
         reel.append(message(k))
@@ -371,7 +371,7 @@ def test_a_reel_gives_back_what_it_was_given():
     reel.close()
 
 
-def test_a_strip_keeps_the_newest_and_gives_what_is_new():
+def test_a_strip_keeps_the_newest_codes_and_returns_those_since_a_number():
     strip = Strip(longest=10)
     for k in range(100):
         strip.append("ol" if k % 2 else "ao")
@@ -381,7 +381,7 @@ def test_a_strip_keeps_the_newest_and_gives_what_is_new():
     assert len(strip.codes) < 20
 
 
-# --- who may do what -------------------------------------------------------------------------
+# --- control ---------------------------------------------------------------------------------
 
 
 class Watcher:
@@ -402,7 +402,7 @@ def live_hub(run):
     return hub, asked
 
 
-def test_anybody_stops_but_one_alone_has_the_control(run):
+def test_any_page_can_stop_but_only_one_has_control(run):
     hub, asked = live_hub(run)
     first, second = Watcher(), Watcher()
     hub.add(first)
@@ -419,7 +419,7 @@ def test_anybody_stops_but_one_alone_has_the_control(run):
     assert not hub.state(first, (None, 0))["controls"]
 
 
-def test_the_control_is_free_when_its_page_has_gone(run):
+def test_control_is_released_when_its_page_closes(run):
     hub, _ = live_hub(run)
     first, second = Watcher(), Watcher()
     hub.add(first)
@@ -429,7 +429,7 @@ def test_the_control_is_free_when_its_page_has_gone(run):
     assert hub.obey(commands.Play(), second) == ""
 
 
-def test_who_comes_later_sees_the_newest_moment_at_once(run):
+def test_a_page_that_opens_later_gets_the_newest_moment_at_once(run):
     hub, _ = live_hub(run)
     hub.arrived(message(7))
     late = Watcher()
@@ -437,7 +437,7 @@ def test_who_comes_later_sees_the_newest_moment_at_once(run):
     assert late.offered == [b"moment 7"]
 
 
-def test_the_rig_is_told_once_and_the_strip_as_it_grows(run):
+def test_the_rig_is_sent_once_and_the_strip_as_it_grows(run):
     hub, _ = live_hub(run)
     watcher = Watcher()
     hub.add(watcher)
@@ -456,12 +456,12 @@ def test_the_rig_is_told_once_and_the_strip_as_it_grows(run):
     ['{"do":', "[]", "null", '{"do":"rm"}', '{"do":"seek"}', '{"do":"seek","number":1.5}',
      '{"do":"seek","number":"1"}', '{"do":"stop","now":true}', '{"do":"step","by":1e99}'],
 )  # fmt: skip
-def test_what_is_no_command_is_refused(text):
+def test_invalid_commands_are_refused(text):
     with pytest.raises(msgspec.MsgspecError):
         commands.decode(text)
 
 
-# --- beside the main loop --------------------------------------------------------------------
+# --- the process of the page -----------------------------------------------------------------
 
 
 @pytest.fixture
@@ -470,7 +470,7 @@ def page():
         yield page
 
 
-def test_of_cameras_the_loop_never_waits_for_the_page(run, page):
+def test_with_live_cameras_the_loop_never_waits_for_the_page(run, page):
     *_, steps = run
     page.open_rig(rig_scene(run, is_live=True))
     os.kill(page._process.pid, signal.SIGSTOP)
@@ -483,31 +483,31 @@ def test_of_cameras_the_loop_never_waits_for_the_page(run, page):
         os.kill(page._process.pid, signal.SIGCONT)
 
 
-def test_stopped_no_frame_of_a_camera_is_looked_at_until_it_goes_on(run, page):
+def test_while_stopped_no_frame_of_a_camera_is_processed(run, page):
     base, token = page.address.split("/?token=")
     cookie = {"Cookie": f"fingerpost-{base.rpartition(':')[2]}={token}"}
-    looked_at = []
+    processed = []
 
-    def look():
+    def process_frames():
         with contextlib.suppress(FingerpostError):
             for frame in page.allowed(itertools.count()):
-                looked_at.append(frame)
+                processed.append(frame)
                 time.sleep(0.001)
 
-    thread = threading.Thread(target=look)
+    thread = threading.Thread(target=process_frames)
     url = f"{base.replace('http', 'ws')}/socket"
     with connect(url, additional_headers=cookie, origin=base, close_timeout=0.2) as socket:
         page.open_rig(rig_scene(run, is_live=True))
         thread.start()
-        wait_until(lambda: len(looked_at) > 5)
+        wait_until(lambda: len(processed) > 5)
         socket.send('{"do":"stop"}')
         wait_until(lambda: page._allowed == 0.0)
         time.sleep(0.01)
-        stood = len(looked_at)
+        stood = len(processed)
         time.sleep(0.05)
-        assert len(looked_at) == stood
+        assert len(processed) == stood
         socket.send('{"do":"play"}')
-        wait_until(lambda: len(looked_at) > stood + 5)
+        wait_until(lambda: len(processed) > stood + 5)
     page.close()
     thread.join()
 

@@ -1,4 +1,4 @@
-"""Who the operator's page is shown to, by real sockets: everybody else is refused in one line."""
+"""The operator's page over real sockets: access, messages, malformed input, overload, the end."""
 
 import json
 import signal
@@ -21,7 +21,7 @@ def page():
 def open_socket(page, **given):
     options = {"additional_headers": {"Cookie": page.cookie}, "origin": page.base, **given}
     url = f"{options.pop('url', page.base).replace('http', 'ws')}/socket"
-    # What is not read is not waited for.
+    # Closing does not wait for messages that were not read.
     return connect(url, max_size=None, open_timeout=PATIENCE_S, close_timeout=0.2, **options)
 
 
@@ -57,7 +57,7 @@ def is_one_line(text):
     return len(text.strip()) > 10 and text.count("\n") == 1 and "Traceback" not in text
 
 
-# --- who may come in -------------------------------------------------------------------------
+# --- access ----------------------------------------------------------------------------------
 
 
 def test_the_address_opens_the_page_and_sets_a_strict_cookie(page):
@@ -90,7 +90,7 @@ def test_without_the_token_nothing_is_shown(page, path):
 @pytest.mark.parametrize(
     "host", ["evil.example", "evil.example:{}", "127.0.0.1", "127.0.0.1:1", ""]
 )
-def test_no_other_host_is_answered(page, host):
+def test_requests_for_another_host_are_refused(page, host):
     status, text, _ = page.ask(
         "GET", f"/?token={page.token}", Host=host.format(page.port), Cookie=page.cookie
     )
@@ -112,7 +112,7 @@ def test_a_websocket_without_the_token_is_refused(page):
     assert refused.value.response.status_code == 403
 
 
-def test_nothing_but_reading_is_allowed_from_elsewhere(page):
+def test_post_requests_are_refused(page):
     assert page.ask("POST", "/", Cookie=page.cookie, Origin="http://evil.example")[0] == 403
     assert page.ask("POST", "/", Cookie=page.cookie, Origin=page.base)[0] == 405
 
@@ -122,7 +122,7 @@ def test_no_path_leads_out_of_the_page(page, path):
     assert page.ask("GET", path, Cookie=page.cookie)[0] == 404
 
 
-# --- what is sent ----------------------------------------------------------------------------
+# --- messages --------------------------------------------------------------------------------
 
 
 def test_moments_come_with_both_pictures(page):
@@ -152,11 +152,11 @@ def test_a_recording_is_stopped_stepped_and_scrubbed_by_command(page):
         assert scene_in(next_moment(ws)) == back
 
 
-# --- nonsense, and too much of it ------------------------------------------------------------
+# --- malformed input and overload ------------------------------------------------------------
 
 
 @pytest.mark.parametrize("nonsense", ['{"do":', "hello", '{"do":"format"}', b"\x00\x01", '"' * 9])
-def test_nonsense_is_refused_in_one_line(page, nonsense):
+def test_malformed_messages_are_refused_in_one_line(page, nonsense):
     with open_socket(page) as ws:
         ws.send(nonsense)
         with pytest.raises(websockets.ConnectionClosedError) as closed:
@@ -177,12 +177,12 @@ def test_an_oversized_message_is_refused(page):
     "request_text",
     [b"\x16\x03\x01\x02\x00", b"GET\r\n\r\n", b"GET / HTTP/1.1\r\nHost: " + b"x" * 100_000],
 )
-def test_what_is_no_request_is_refused(page, request_text):
+def test_malformed_requests_are_refused(page, request_text):
     with raw(page, request_text) as connection:
         assert connection.recv(4096).startswith(b"HTTP/1.1 4")
 
 
-def test_a_hundred_connections_and_slow_ones_leave_the_page_alone(page):
+def test_a_hundred_slow_connections_do_not_disturb_the_page(page):
     with open_socket(page) as ws:
         next_state(ws)
         ws.send('{"do":"take"}')
@@ -213,7 +213,7 @@ def test_too_many_pages_are_refused_in_one_line(page):
     assert is_one_line(refused.value.response.body.decode())
 
 
-def test_a_stalled_page_gets_two_moments_and_costs_the_others_nothing(page):
+def test_a_stalled_page_gets_two_moments_and_does_not_delay_the_others(page):
     with open_socket(page) as stalled, open_socket(page) as quick:
         next_state(quick)
         quick.send('{"do":"take"}')
@@ -232,7 +232,7 @@ def test_a_stalled_page_gets_two_moments_and_costs_the_others_nothing(page):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_ends_in_order_with_clients_connected(number):
+def test_a_signal_ends_it_cleanly_with_clients_connected(number):
     with served() as running:
         with open_socket(running) as ws, raw(running):
             next_moment(ws)
@@ -244,7 +244,7 @@ def test_it_ends_in_order_with_clients_connected(number):
         assert said.strip() == "fingerpost: stopped"
 
 
-def test_its_server_ends_with_it_however_it_ends():
+def test_its_server_ends_when_it_is_killed():
     with served() as running:
         running.process.kill()
         running.process.wait()
@@ -267,7 +267,7 @@ def test_a_rig_that_cannot_be_used_ends_it_in_one_line(tmp_path):
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "here", "::1"])
-def test_a_host_that_is_no_address_of_one_card_is_refused(host):
+def test_a_host_that_is_no_ipv4_address_of_this_machine_is_refused(host):
     with (
         pytest.raises(AssertionError, match="IPv4 address of this machine"),
         served(RIG, "--host", host),

@@ -1,4 +1,4 @@
-"""The operator's page in a browser, as its operator meets it."""
+"""The operator's page in a browser."""
 
 import re
 import shutil
@@ -49,7 +49,7 @@ def browser():
 
 
 class Open:
-    """The page, open in a window of its own; what its console complains of is a failure."""
+    """The page in a window of its own; an error or warning on its console fails the test."""
 
     def __init__(self, browser, server, size=DESK, **options):
         width, height = size
@@ -58,20 +58,20 @@ class Open:
         self.page = self.context.new_page()
         self.page.set_default_timeout(1000 * PATIENCE_S)
         self.complaints = []
-        self.page.on("console", lambda said: self._hear(said.type, said.text))
-        self.page.on("pageerror", lambda error: self._hear("error", str(error)))
+        self.page.on("console", lambda said: self._log(said.type, said.text))
+        self.page.on("pageerror", lambda error: self._log("error", str(error)))
         self.page.goto(server.address)
         self.until(
             "document.querySelector('.view canvas')?.width > 300"
             " || document.querySelector('.offer')"
         )
 
-    def _hear(self, kind, text):
+    def _log(self, kind, text):
         if kind in ("error", "warning"):
             self.complaints.append(text)
 
     def until(self, condition):
-        """Wait for what an expression tells; the page's own policy lets no string be evaluated."""
+        """Poll until a condition is true; the page's own policy forbids evaluating strings."""
         end_s = time.monotonic() + PATIENCE_S
         while not self.page.evaluate(f"() => Boolean({condition})"):
             assert time.monotonic() < end_s, condition
@@ -82,7 +82,7 @@ class Open:
             self.page.keyboard.press(key)
 
     def at(self, frame):
-        """Stand still at a frame."""
+        """Stop at a frame."""
         self.press("c", " ")
         self.until(STANDS)
         self.page.evaluate(
@@ -173,7 +173,7 @@ def test_targets_show_where_they_are_and_how_probable_each_is(browser, tmp_path)
         assert name["x"] + name["width"] / 2 == pytest.approx(disc["x"] + disc["width"] / 2, abs=2)
 
 
-def test_before_there_is_a_point_it_is_said_which_view_does_what(opened):
+def test_without_a_point_the_state_is_shown_in_words(opened):
     page = opened()
     page.at(0)
     page.until("document.documentElement.dataset.status === 'acquiring'")
@@ -217,7 +217,7 @@ def test_the_cursor_goes_with_the_picture(opened):
         assert cursor["x"] + cursor["width"] / 2 == pytest.approx(at, abs=1.0)
 
 
-def test_arrows_step_to_and_fro(opened):
+def test_arrow_keys_step_back_and_forward(opened):
     page = opened()
     page.at(30)
     for key, frame in [("ArrowRight", 31), ("ArrowLeft", 30), ("Shift+ArrowLeft", 5), ("Home", 0)]:
@@ -225,14 +225,14 @@ def test_arrows_step_to_and_fro(opened):
         page.until(f"document.querySelector('#clock').textContent.endsWith('frame {frame}')")
 
 
-def test_the_stop_button_stops_and_stands_alone(opened):
+def test_the_stop_button_stops(opened):
     page = opened()
     page.play()
     page.page.click("#stop")
     page.until(STANDS)
 
 
-def test_a_frame_that_is_come_back_to_is_the_one_that_was_shown(opened):
+def test_a_frame_is_the_same_when_it_is_shown_again(opened):
     page = opened()
     shown = []
     for frame in (50, 20, 50):
@@ -243,7 +243,7 @@ def test_a_frame_that_is_come_back_to_is_the_one_that_was_shown(opened):
     assert shown[0] == shown[2] != shown[1]
 
 
-def test_two_pages_one_control_and_stop_from_both(opened):
+def test_one_of_two_pages_has_control_and_both_can_stop(opened):
     first, second = opened(), opened()
     first.play()
     second.until("document.querySelector('#message').textContent.includes('control')")
@@ -279,7 +279,7 @@ def test_nothing_moves_while_numbers_change(opened):
 
 
 @pytest.mark.parametrize("scheme", ["dark", "light"])
-def test_words_can_be_read_against_their_ground(opened, scheme):
+def test_text_contrasts_with_its_background(opened, scheme):
     page = opened(color_scheme=scheme)
     page.at(50)
     poor = page.page.evaluate(
@@ -307,7 +307,7 @@ def test_words_can_be_read_against_their_ground(opened, scheme):
     assert poor == []
 
 
-def test_everything_that_is_pressed_has_a_name_and_room(opened):
+def test_every_control_has_a_name_and_is_large_enough(opened):
     page = opened(size=PHONE)
     nameless = page.page.evaluate(
         """() => [...document.querySelectorAll('button, input')].filter((e) => e.offsetParent

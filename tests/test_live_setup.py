@@ -1,4 +1,4 @@
-"""Set-up on the page, as a new user meets it: nothing is typed, and every step is clean by axe."""
+"""Set-up on the page by a new user: without typing, and every step without axe violations."""
 
 import shutil
 
@@ -18,7 +18,7 @@ MOST_CLICKS = 8
 
 @pytest.fixture
 def films(tmp_path):
-    """A folder with the clip's films and one file that is none."""
+    """A folder with the clip's films and one file that is not a film."""
     for name in ("left.mp4", "right.mp4"):
         shutil.copy(RIG.with_name(name), tmp_path)
     (tmp_path / "broken.mp4").write_bytes(b"no film at all")
@@ -26,7 +26,7 @@ def films(tmp_path):
 
 
 class NewUser:
-    """Somebody who points and clicks, and counts it; he has no keyboard."""
+    """A user who has only a mouse; counts clicks."""
 
     def __init__(self, page):
         self.page, self.clicks = page, 0
@@ -50,7 +50,7 @@ def click_corners(page, k, points_px):
 
 
 def turns(saved, true):
-    """By how many corners each view's points are turned against the true ones."""
+    """Cyclic shift of each view's reference points relative to the true ones [corners]."""
     found = []
     for view, known in zip(saved.views, true.views, strict=True):
         off_px = [
@@ -72,7 +72,7 @@ def test_from_two_films_to_a_rig_and_a_point_without_typing(browser, films):  # 
         assert "mm" in page.text("#legend")
         assert unclean(page.page) == []
 
-        page.page.reload()  # what was found stays
+        page.page.reload()  # the corners found are kept
         page.until(f"{KNOWN} && document.querySelectorAll('.pane .handle').length === 8")
 
         user.click("#next")
@@ -99,7 +99,7 @@ def test_from_two_films_to_a_rig_and_a_point_without_typing(browser, films):  # 
     saved = Rig.load(films / "rig.toml")
     assert [view.name for view in saved.views] == ["left", "right"]
     assert all(view.size_px == (640, 480) for view in saved.views)
-    # The same corner is the first one in both views, and the found ones are as good as they say.
+    # Both views begin at the same corner, and corners that were found have a covariance.
     assert len(set(turns(saved, Rig.load(RIG)))) == 1
     assert all(view.reference_covariances_px2 is not None for view in saved.views)
 
@@ -108,7 +108,7 @@ def test_corners_can_be_clicked_and_a_wrong_order_is_named(browser, films):  # n
     truth = Rig.load(RIG)
     with served(folder=films) as running:
         page = Open(browser, running, color_scheme="light")
-        page.until("document.querySelectorAll('.offer:enabled').length === 3")  # and where to drop
+        page.until("document.querySelectorAll('.offer:enabled').length === 3")  # 2 films, drop area
         assert "decode" in page.text(".offer:disabled small")
         assert page.text("#words") == "pick two views, or more"
         assert unclean(page.page) == []

@@ -1,4 +1,4 @@
-"""The page in a browser: the projected plan, experiments, bookmarks, and in a notebook."""
+"""The page in a browser: projected plan, experiments, bookmarks, notebook."""
 
 import http.server
 import socket
@@ -24,7 +24,7 @@ FRAMES, COVERED = 48, range(30, 42)
 
 
 def fix_of(sigma):
-    """A fix of some uncertainty; None has no point."""
+    """A fix whose X has standard deviation `sigma`; without a point if None."""
     if sigma is None:
         return Fix(0.0, Status.LOST, ())
     return Fix(0.0, Status.OK, (), np.zeros(2), sigma**2 * np.diag([1.0, 0.25]))
@@ -49,7 +49,7 @@ def page(browser, server):  # noqa: F811
 
 
 def outline(page):
-    """The window's rectangle about the outline of the plane, as it is shown."""
+    """Bounding box of the plane's outline in the window: left, top, right, bottom [px]."""
     box = page.page.locator(".plan-outline").bounding_box()
     return [box["x"], box["y"], box["x"] + box["width"], box["y"] + box["height"]]
 
@@ -135,7 +135,7 @@ def test_an_experiment_asks_for_targets_and_tallies_the_errors(page, folder):
 
 @pytest.fixture(scope="module")
 def lossy(tmp_path_factory):
-    """The clip, as pictures, whose left view shows no hand for a while."""
+    """The clip as picture files; in some frames the left view's hand is covered."""
     folder = tmp_path_factory.mktemp("lossy")
     text = RIG.read_text(encoding="utf-8")
     for name in ("left", "right"):
@@ -153,7 +153,7 @@ def lossy(tmp_path_factory):
         yield running
 
 
-def test_a_click_says_why_a_frame_was_lost_and_bookmarks_come_back_to_it(browser, lossy):  # noqa: F811
+def test_a_click_shows_why_a_frame_was_lost_and_bookmarks_return_to_it(browser, lossy):  # noqa: F811
     page = Open(browser, lossy)
     page.at(FRAMES - 1)
     page.until("document.documentElement.dataset.status === 'ok'")
@@ -171,7 +171,7 @@ def test_a_click_says_why_a_frame_was_lost_and_bookmarks_come_back_to_it(browser
     assert left.locator("path.chosen").get_attribute("d") == ""
     assert right.locator("path.search-lines").get_attribute("d") == ""
 
-    # The other view, at a click on its picture: what it has chosen and rejected.
+    # A click on the other view's picture shows the edges that it chose and rejected.
     right.locator(".body").click(position={"x": 20, "y": 20})
     assert right.locator(".why").is_visible()
     assert right.locator("path.chosen").get_attribute("d").count("M") > 30
@@ -204,7 +204,7 @@ def test_the_strip_shows_how_uncertain_the_point_is():
 
 
 class Notebook(http.server.BaseHTTPRequestHandler):
-    """A page of another site that shows what a cell has ended in."""
+    """A page of another site that shows the output of a cell."""
 
     cell = ""
 

@@ -1,4 +1,4 @@
-"""The steps of a set-up without a browser: what is found, judged, learned, written and refused."""
+"""The steps of a set-up without a browser."""
 
 import dataclasses
 import shutil
@@ -27,11 +27,11 @@ from fingerpost.operators import Operator
 from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
 
 HABIT = np.array([22.0, -15.0])
-"""By how much the simulated operator points beside [mm]."""
+"""Offset of the simulated operator's points from the targets [mm]."""
 
 
 class ScriptedPage:
-    """Asks for one thing after another; keeps what it is shown."""
+    """A page that makes scripted requests and keeps the states and pictures it is shown."""
 
     def __init__(self, *asked):
         self._asked = list(asked)
@@ -57,7 +57,7 @@ def films(tmp_path):
     return [str(tmp_path / name) for name in ("left.mp4", "right.mp4")]
 
 
-def test_what_is_clicked_is_judged_and_what_is_wrong_is_refused(films, tmp_path):
+def test_clicked_corners_are_assessed_and_wrong_input_is_refused(films, tmp_path):
     truth = Rig.load(RIG)
     held = Held((560.0, 60.0), 45.0, 70.0, "left")  # where there is no hand
     views = tuple(Chosen(k, view.reference_points_px, held) for k, view in enumerate(truth.views))
@@ -86,8 +86,8 @@ def test_what_is_clicked_is_judged_and_what_is_wrong_is_refused(films, tmp_path)
     assert "no hand is found" in held_wrong(saved.views[0], saved.views[0].start, [frame])
 
 
-def test_a_dark_small_and_narrow_set_up_is_said_in_words(films):
-    """The clip in the dark, and one camera beside the other."""
+def test_darkness_and_a_narrow_base_line_are_reported_in_words(films):
+    """A darkened clip, and two cameras side by side."""
     truth = Rig.load(RIG)
     offers = Offers(lambda *_: None)
     offers.add(films)
@@ -108,7 +108,7 @@ def test_a_dark_small_and_narrow_set_up_is_said_in_words(films):
     assert any("apart" in word.text or "direction" in word.text for word in words), words
 
 
-def test_what_lies_on_the_table_is_recognised(tmp_path):
+def test_the_sheet_on_the_table_is_recognised(tmp_path):
     rng = np.random.default_rng(5)
     a4 = [white_sheet(corners_of_view(rng)) for _ in range(2)]
     assert guessed(a4) == "A4"
@@ -125,7 +125,7 @@ def white_sheet(corners_px):
     return np.clip(cv2.GaussianBlur(picture, (0, 0), 0.8) + noise, 0, 255).astype(np.uint8)
 
 
-def test_a_simulated_operator_is_learned_from_five_places(tmp_path):
+def test_a_simulated_operator_s_habit_is_learned_from_five_places(tmp_path):
     stops = [
         DevicePose.pointing_at(
             place.point + HABIT, azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0
@@ -158,7 +158,7 @@ def test_a_simulated_operator_is_learned_from_five_places(tmp_path):
     assert Operator.load(tmp_path / "rig-operator.toml").habit.model == aimed.operator.habit.model
 
 
-def test_who_leaves_off_has_learned_nothing():
+def test_a_calibration_that_is_stopped_learns_nothing():
     rig = Rig.load(RIG)
     with open_views(rig.sources, rig.readings) as sources:
         aimed = learn(rig, iter(read_views(sources)), lambda: True, lambda *_: None)
@@ -166,19 +166,19 @@ def test_who_leaves_off_has_learned_nothing():
     assert aimed.state["visits"] == []
 
 
-def test_names_that_are_taken_are_left_alone(tmp_path):
+def test_names_of_existing_files_are_not_used(tmp_path):
     (tmp_path / "rig.toml").touch()
     (tmp_path / "rig-2.toml").touch()
     assert unused(tmp_path / "rig.toml") == tmp_path / "rig-3.toml"
     assert unused(tmp_path / "other.toml") == tmp_path / "other.toml"
 
 
-def test_a_source_that_was_named_and_cannot_be_read_is_refused(tmp_path):
+def test_a_named_source_that_cannot_be_read_is_refused(tmp_path):
     with pytest.raises(InvalidInputError, match="no-film"):
         set_up(ScriptedPage(), tmp_path, [str(tmp_path / "no-film.mp4")])
 
 
-def test_a_camera_is_shown_live_and_let_go(server):  # noqa: F811
+def test_a_camera_is_shown_live_paused_and_resumed(server):  # noqa: F811
     shown = []
     offers = Offers(lambda place, jpeg: shown.append((place, jpeg)))
     offers.add([server.url("/camera/left")])
@@ -201,7 +201,7 @@ def test_a_camera_is_shown_live_and_let_go(server):  # noqa: F811
         ("film.mp4", {"Origin": "http://evil.example"}, 403, "Origin"),
     ],
 )
-def test_what_is_no_recording_is_not_taken(setting_up, name, headers, status, words):
+def test_uploads_that_are_not_recordings_are_refused(setting_up, name, headers, status, words):
     given = {
         "Origin": setting_up.base,
         "Cookie": setting_up.cookie,

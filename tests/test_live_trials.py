@@ -1,4 +1,4 @@
-"""Experiments on the page without a browser: what selects a target, and what is written."""
+"""Experiments on the page without a browser: how targets are selected, and the table."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def experiment(tmp_path):
 
 
 class Hand:
-    """Points somewhere for a while."""
+    """A hand that points at a place for a given time."""
 
     def __init__(self, experiment):
         self.experiment, self.time_s, self.frame = experiment, 0.0, 0
@@ -54,7 +54,7 @@ class Hand:
         return np.array(self.experiment.as_dict()["target"])
 
 
-def test_staying_selects_once_and_only_after_the_hand_has_left(experiment):
+def test_dwelling_selects_once_and_again_only_after_the_hand_has_left(experiment):
     hand = Hand(experiment)
     there = tuple(np.add(hand.target(), [3.0, -4.0]))
     hand.point(there, DWELL_S - 3 * STEP_S)
@@ -63,14 +63,14 @@ def test_staying_selects_once_and_only_after_the_hand_has_left(experiment):
     hand.point(there, 3 * STEP_S)
     (trial,) = experiment.trials
     assert trial.error == pytest.approx(5.0)
-    # The Midas touch: to stay where it was is no answer to the next target.
+    # Midas touch: staying in place does not select the next target.
     hand.point(there, 3 * DWELL_S)
     assert len(experiment.trials) == 1
     hand.point((1000.0, 1000.0), DWELL_S + STEP_S)
     assert len(experiment.trials) == 2
 
 
-def test_a_hand_that_moves_or_is_lost_begins_its_stay_anew(experiment):
+def test_a_hand_that_moves_or_is_lost_restarts_its_dwell(experiment):
     hand = Hand(experiment)
     for k in range(20):
         hand.point((20.0 * k, 0.0), DWELL_S / 2)
@@ -80,7 +80,7 @@ def test_a_hand_that_moves_or_is_lost_begins_its_stay_anew(experiment):
     assert experiment.trials == ()
 
 
-def test_what_is_skipped_counts_as_without_a_point(experiment, tmp_path):
+def test_skipped_targets_count_as_trials_without_a_point(experiment, tmp_path):
     hand = Hand(experiment)
     assert "no point" in experiment.select()
     hand.point((10.0, 20.0), 0.0)
@@ -98,7 +98,7 @@ def test_what_is_skipped_counts_as_without_a_point(experiment, tmp_path):
     assert "1 of 2" in said["lines"][0]
 
 
-def test_the_rig_s_own_targets_are_pointed_at_where_there_are_four(tmp_path):
+def test_the_rig_s_own_targets_are_used_if_there_are_at_least_four(tmp_path):
     names = "abcde"
     own = [
         Target(name, np.array([[10.0 * k, 5.0]]), 3.0, rest=name == "e")

@@ -1,4 +1,4 @@
-"""A picture that is lost is lost for its view: in rows, summary and doctor, and for what learns."""
+"""A picture that is lost is lost for its view only: in tables, summary, doctor and tracker."""
 
 import csv
 import json
@@ -28,7 +28,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(params=["left", "right"])
 def damaged(request: pytest.FixtureRequest, recording: Path, tmp_path: Path) -> tuple[str, Path]:
-    """A view of which one picture is cut off, and the rig file."""
+    """The view with one truncated picture, and the rig file."""
     shutil.copytree(recording.parent, tmp_path / "copy")
     images = sorted((tmp_path / "copy" / request.param).glob("*.png"))
     images[BROKEN].write_bytes(images[BROKEN].read_bytes()[:500])
@@ -39,7 +39,7 @@ def invoked(*arguments: object):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
-def test_a_picture_that_cannot_be_decoded_is_lost_for_its_view_and_told(damaged, tmp_path):
+def test_a_picture_that_cannot_be_decoded_is_lost_for_its_view_and_reported(damaged, tmp_path):
     view, rig_file = damaged
     tables = tmp_path / "points.csv", tmp_path / "tracks.csv"
     done = invoked("run", rig_file, "--points", tables[0], "--tracks", tables[1])
@@ -56,17 +56,17 @@ def test_a_picture_that_cannot_be_decoded_is_lost_for_its_view_and_told(damaged,
     assert note.strip().startswith(f"{view}: 1 of {FRAMES} pictures are damaged (")
 
 
-def test_programs_and_the_doctor_are_told_as_well(damaged):
+def test_json_output_and_the_doctor_report_a_loss_as_well(damaged):
     view, rig_file = damaged
     *rows, last = map(json.loads, invoked("run", rig_file, "--json").stdout.splitlines())
     assert len(rows) == FRAMES
     (note,) = last["notes"]
     assert note.startswith(f"{view}: 1 of {FRAMES} pictures are damaged (")
-    told = json.loads(invoked("doctor", rig_file, "--json").stdout)
-    (finding,) = [f for f in told["findings"] if f["check"] == "pictures"]
+    report = json.loads(invoked("doctor", rig_file, "--json").stdout)
+    (finding,) = [f for f in report["findings"] if f["check"] == "pictures"]
     assert (finding["severity"], finding["view"]) == ("warning", view)
     assert finding["what"].startswith(f"1 of {FRAMES} pictures are damaged (")
-    assert [f for f in told["findings"] if f["check"] == "timing"] == []
+    assert [f for f in report["findings"] if f["check"] == "timing"] == []
 
 
 def test_sound_pictures_leave_no_note(recording):
@@ -75,7 +75,7 @@ def test_sound_pictures_leave_no_note(recording):
     assert json.loads(invoked("doctor", recording, "--json").stdout)["notes"] == []
 
 
-def test_a_loss_is_shown_to_nothing_that_follows_or_learns(recording):
+def test_trackers_treat_a_loss_as_a_missing_frame(recording):
     rig = Rig.load(recording)
     with open_source(rig.views[0].source) as left, open_source(rig.views[1].source) as right:
         pairs = list(zip(left, right, strict=True))
@@ -84,17 +84,17 @@ def test_a_loss_is_shown_to_nothing_that_follows_or_learns(recording):
         [pairs[k] if k != BROKEN else (pairs[k][0], gone) for k in range(FRAMES)]
         for gone in (None, lost)
     )
-    told = []
+    runs = []
     for frames in (with_none, with_loss):
         pointer = Pointer(rig)
         steps = [step for seen in frames for step in pointer.update(seen)]
-        told.append([*steps, *pointer.finish()])
-    without, with_ = told
+        runs.append([*steps, *pointer.finish()])
+    without, with_ = runs
     step = with_[BROKEN]
     assert step.observations[1].frame is None
     assert step.observations[1].reasons == (lost.why,)
     assert (step.fix.status, step.fix.reason) == (Status.LOST, f'view "right": {lost.why}')
-    # What comes later is as if there had been no picture at all.
+    # Later frames are as if that picture had not existed.
     for one, other in zip(without[BROKEN + 1 :], with_[BROKEN + 1 :], strict=True):
         assert one.point_row() == other.point_row()
 

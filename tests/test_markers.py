@@ -21,7 +21,7 @@ CHI2_95 = -2.0 * math.log(0.05)
 
 
 def shown(corners, sheet=1, oversampling=8, sigma_px=0.7):
-    """Levels of a picture of the sheet: the mean of so many samples a pixel, and a blur."""
+    """Render the sheet: grey levels by `oversampling`² samples a pixel, then blurred."""
     image_from_plane = cv2.getPerspectiveTransform(
         PLANE.astype(np.float32), np.asarray(corners, np.float32)
     )
@@ -49,7 +49,7 @@ def shown(corners, sheet=1, oversampling=8, sigma_px=0.7):
 
 
 def exact(corners):
-    """The same corners after the rounding of `getPerspectiveTransform`."""
+    """The corners as rendered: rounded to the 32 bits of `getPerspectiveTransform`."""
     T = cv2.getPerspectiveTransform(PLANE.astype(np.float32), np.asarray(corners, np.float32))
     y = np.column_stack([PLANE, np.ones(4)]) @ T.T
     return y[:, :2] / y[:, 2:]
@@ -57,7 +57,7 @@ def exact(corners):
 
 @pytest.fixture(scope="module")
 def pictures():
-    """Sheets as some cameras show them: levels and corners."""
+    """Pictures of the sheet from ten cameras: grey levels and true corners."""
     found = []
     for seed in range(10):
         corners = corners_of_view(np.random.default_rng(seed), distance=(1.5, 2.0))
@@ -76,7 +76,7 @@ def test_corners_are_exact_and_have_no_bias(pictures):
     assert np.abs(offs.mean(axis=(0, 1))).max() < 0.02
 
 
-def test_covariances_hold(pictures):
+def test_covariances_contain_the_errors(pictures):
     meter = MarkersMeter(A4, 1, PLANE)
     squares = []
     for k, (levels, corners) in enumerate(pictures):
@@ -104,12 +104,12 @@ def test_one_marker_is_enough(pictures):
     assert np.abs(off).max() < 6.0
     inverse = np.linalg.inv(measured.covariances_px2)
     assert np.einsum("ki,kij,kj->k", off, inverse, off).max() < 30.0
-    # It says that the corners of the sheet are far from it.
+    # Its covariance shows that the sheet's corners are extrapolated.
     whole = meter.search(noisy(levels, np.random.default_rng(0), 1))
     assert np.trace(measured.covariance) > 20 * np.trace(whole.covariance)
 
 
-def test_another_sheet_is_none(pictures):
+def test_another_sheet_is_not_detected(pictures):
     picture = noisy(pictures[0][0], np.random.default_rng(0), 2)
     assert MarkersMeter(A4, 2, PLANE).search(picture) is None
     assert MarkersMeter(A4, 1, PLANE).search(np.full((60, 80, 3), 90, np.uint8)) is None
@@ -178,7 +178,7 @@ def test_a_screen_shows_the_sheet_of_its_shape(tmp_path):
     assert done.exit_code == 0, done.output
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     assert picture.shape == (800, 1280)
-    # 320 × 200 mm of it, seen from straight above; pixel (0, 0) is a centre.
+    # 320 × 200 mm, seen from straight above; pixel (0, 0) is centred at the origin.
     points = np.array([[0, 0], [320, 0], [320, 200], [0, 200]], float)
     measured = MarkersMeter((320.0, 200.0), 1, points).search(picture)
     right = [[-0.5, 799.5], [1279.5, 799.5], [1279.5, -0.5], [-0.5, -0.5]]

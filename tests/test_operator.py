@@ -1,4 +1,4 @@
-"""Calibrating an operator: by dwelling, by keys, by times; and his habit taken off the fixes."""
+"""Calibration of an operator by dwelling, keys or times, and correction of fixes for his habit."""
 
 import re
 from collections import deque
@@ -68,7 +68,7 @@ def places(points=FIVE):
 
 
 def session(stops, *, stay_s=1.3, way_s=0.7, seed=0):
-    """Times and points of a hand that stays at stops, and moves steadily between them."""
+    """Times and points of a hand that dwells at stops and moves uniformly between them."""
     rng = np.random.default_rng(seed)
     knots = np.repeat(np.asarray(stops, np.float64), 2, axis=0)
     ends_s = np.cumsum([0.0, *([stay_s, way_s] * len(stops))[:-1]])
@@ -113,18 +113,18 @@ def test_each_place_is_taken_once_when_the_hand_stays_there():
     assert found == pytest.approx(FIVE + HABIT, abs=JITTER)
 
 
-def test_a_hand_that_stays_long_is_still_at_the_same_place():
+def test_a_long_dwell_counts_once():
     calibration = Calibration(places(), 0.5)
     assert taken(calibration, session(FIVE[:2], stay_s=5.0)) == ["t0", "t1"]
     assert calibration.next.name == "t2"
 
 
-def test_a_hand_on_its_way_is_at_no_place():
+def test_a_moving_hand_takes_no_place():
     calibration = Calibration(places(), 1.0)
     assert taken(calibration, session(FIVE, stay_s=0.05, way_s=1.2)) == []
 
 
-def test_a_hand_that_was_lost_begins_anew():
+def test_a_lost_hand_restarts_its_dwell():
     calibration = Calibration(places(), 1.0)
     hidden = [(time_s, None if time_s > 0.8 else point) for time_s, point in session(FIVE[:1])]
     late = [(time_s + 2.0, point) for time_s, point in session(FIVE[:1], stay_s=0.9)]
@@ -141,7 +141,7 @@ def test_a_key_takes_the_latest_points():
     assert calibration.next.name == "t1"
 
 
-def test_what_to_point_at_is_said_once_and_keys_count(capsys):
+def test_each_prompt_is_printed_once_and_keys_take_places(capsys):
     calibration = Calibration(places(), 1.0)
     steps = [
         SimpleNamespace(fix=SimpleNamespace(time_s=time_s, point=point))
@@ -167,7 +167,7 @@ def test_what_to_point_at_is_said_once_and_keys_count(capsys):
         ([*FIVE, FIVE[4]], "the place after 't4' is the same one"),
     ],
 )
-def test_places_that_will_not_do_are_refused(points, words):
+def test_unsuitable_places_are_refused(points, words):
     with pytest.raises(InvalidInputError) as raised:
         Calibration(places(points), 1.0)
     assert words in str(raised.value)
@@ -175,7 +175,7 @@ def test_places_that_will_not_do_are_refused(points, words):
 
 def test_places_come_from_the_rig_or_are_given(tmp_path):
     found = places_of(fp.Rig.load(rig_file(tmp_path)))
-    assert [place.name for place in found] == ["t0", "t1", "t2", "t3", "t4"]  # none to rest at
+    assert [place.name for place in found] == ["t0", "t1", "t2", "t3", "t4"]  # without the rest
     given = places_in("1,2; -3.5 , 4e1;")
     assert [place.point.tolist() for place in given] == [[1.0, 2.0], [-3.5, 40.0]]
     for wrong in ("1,2;3", "1,2,3", "a,b", "1,nan"):
@@ -183,7 +183,7 @@ def test_places_come_from_the_rig_or_are_given(tmp_path):
             places_in(wrong)
 
 
-def test_times_say_which_points_are_of_which_place(tmp_path):
+def test_times_assign_points_to_places(tmp_path):
     table = tmp_path / "visits.csv"
     table.write_text("begin_s,end_s,target\n0,1,t0\n2,3,t1\n", encoding="utf-8")
     visits = visits_of(places(), read_stays(table), session(FIVE[:2]))
@@ -207,17 +207,17 @@ def test_times_say_which_points_are_of_which_place(tmp_path):
         ("target,begin_s,end_s\nt0,nan,1\n", "line 2: end_s is to be later than begin_s"),
     ],
 )
-def test_a_table_of_visits_that_is_none_is_refused(tmp_path, text, words):
+def test_an_invalid_table_of_visits_is_refused(tmp_path, text, words):
     (tmp_path / "visits.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InvalidInputError) as raised:
         read_stays(tmp_path / "visits.csv")
     assert words in str(raised.value)
 
 
-# --- by name ----------------------------------------------------------------------------------
+# --- files ------------------------------------------------------------------------------------
 
 
-def test_an_operator_survives_being_written():
+def test_an_operator_is_read_as_it_was_written():
     before = operator(scatter=6.0)
     path = operator_file("anna")
     assert path == operators_folder() / "anna.toml"
@@ -245,7 +245,7 @@ def test_an_operator_survives_being_written():
         ("x.toml", "what is this", "a file that `fingerpost calibrate-operator` wrote is needed"),
     ],
 )
-def test_an_operator_that_is_none_is_refused(tmp_path, monkeypatch, name, text, words):
+def test_an_invalid_operator_is_refused(tmp_path, monkeypatch, name, text, words):
     monkeypatch.chdir(tmp_path)
     operator().save(operator_file("anna"))
     if text is not None:
@@ -265,14 +265,14 @@ def test_an_operator_of_another_unit_or_type_is_refused(tmp_path):
         fp.Pointer(rig, operator="anna")
 
 
-# --- in the fix -------------------------------------------------------------------------------
+# --- correction -------------------------------------------------------------------------------
 
 
 def fix(point, reason=""):
     return fp.Fix(0.0, fp.Status.OK, (), np.array(point), 4.0 * np.eye(2), 0.5, reason)
 
 
-def test_the_habit_is_taken_off_a_fix_and_its_covariance_counts():
+def test_the_habit_is_subtracted_from_a_fix_and_its_covariance_added():
     anna = operator(scatter=6.0)
     after = anna.meant(fix([224.0, 182.0], "right is lost"), 80.0)
     assert after.status is fp.Status.OK
@@ -281,7 +281,7 @@ def test_the_habit_is_taken_off_a_fix_and_its_covariance_counts():
     assert (after.reason, after.crossing_angle_rad) == ("right is lost", 0.5)
 
 
-def test_a_fix_beyond_the_targets_says_so_and_is_none_too_far_off():
+def test_a_fix_beyond_the_targets_says_so_and_is_refused_if_too_far():
     anna = operator(scatter=6.0)
     inside, near, far = (anna.meant(fix([x, 182.0]), 80.0) for x in (224.0, 420.0, 1200.0))
     assert inside.reason == ""
@@ -294,7 +294,7 @@ def test_a_fix_beyond_the_targets_says_so_and_is_none_too_far_off():
     assert np.isfinite(far.covariance).all()
 
 
-def test_a_fix_without_a_point_stays_as_it_is():
+def test_a_fix_without_a_point_is_returned_unchanged():
     lost = fp.Fix(0.0, fp.Status.LOST, ())
     assert operator().meant(lost, 80.0) is lost
 
@@ -339,7 +339,7 @@ def test_the_command_learns_from_a_table_of_fixes(tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_learnt_from_is_refused_in_one_line(tmp_path, monkeypatch, more, words):
+def test_unsuitable_calibration_data_is_refused_in_one_line(tmp_path, monkeypatch, more, words):
     monkeypatch.chdir(tmp_path)
     rig_file(tmp_path)
     table_of(tmp_path / "points.csv", session(FIVE + HABIT))
@@ -352,8 +352,8 @@ def test_what_cannot_be_learnt_from_is_refused_in_one_line(tmp_path, monkeypatch
     assert not operators_folder().exists()
 
 
-def test_from_a_film_to_a_run_without_the_habit(tmp_path):
-    """A simulated hand dwells 30 mm beside each target; the same film is right after that."""
+def test_a_calibration_from_a_film_corrects_a_run_of_it(tmp_path):
+    """A simulated hand dwells 30 mm beside each target; a run with its habit corrects that."""
     stops = [
         DevicePose.pointing_at(point, azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0)
         for point in (FIVE + HABIT)

@@ -1,4 +1,4 @@
-"""What commands write: not over what they read or each other, and refused before the work."""
+"""Outputs of commands overwrite neither inputs nor each other, and are checked before the work."""
 
 import json
 import os
@@ -25,7 +25,7 @@ def invoked(*arguments: object) -> Result:
 
 
 def refused(*arguments: object) -> str:
-    """The one line with which bad input is refused, before anything else is said."""
+    """Return the only line of output, with which a command refuses bad input."""
     done = invoked(*arguments)
     assert done.exit_code == 2, done.output
     assert done.stdout == ""
@@ -54,7 +54,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def the_long_way(path: Path, target: Path) -> Path:
+def with_detour(path: Path, target: Path) -> Path:
     path.mkdir()
     return path / ".." / os.path.relpath(target, path.parent)
 
@@ -69,10 +69,10 @@ def hard_linked(path: Path, target: Path) -> Path:
     return path
 
 
-# --- over what is read ------------------------------------------------------------------------
+# --- inputs -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("named", [the_long_way, symlinked, hard_linked])
+@pytest.mark.parametrize("named", [with_detour, symlinked, hard_linked])
 @pytest.mark.parametrize(
     ("option", "victim", "what"),
     [
@@ -81,7 +81,7 @@ def hard_linked(path: Path, target: Path) -> Path:
         ("--tracks", "rig.toml", "the rig file"),
     ],
 )
-def test_run_does_not_write_over_what_it_reads(videos, tmp_path, named, option, victim, what):
+def test_run_does_not_write_over_its_inputs(videos, tmp_path, named, option, victim, what):
     output = named(tmp_path / "link.mp4", videos.with_name(victim))
     before = contents(tmp_path)
     line = refused("run", videos, option, output)
@@ -96,7 +96,7 @@ def test_run_does_not_write_over_an_image_of_a_glob(pictures):
     assert image.read_bytes() == before
 
 
-def test_a_video_that_is_refused_costs_no_table(videos, tmp_path):
+def test_a_refused_video_leaves_tables_unchanged(videos, tmp_path):
     table = tmp_path / "points.csv"
     table.write_text("of the last run")
     refused("run", videos, "--points", table, "--overlay", tmp_path / "overlay.gif")
@@ -106,7 +106,7 @@ def test_a_video_that_is_refused_costs_no_table(videos, tmp_path):
 @pytest.mark.parametrize(
     "refusing", [("--tracks", "missing/t.csv"), ("--overlay", "missing/o.mp4"), ("--tracks", ".")]
 )
-def test_a_run_that_is_refused_costs_no_table_and_leaves_none(videos, tmp_path, refusing):
+def test_a_refused_run_leaves_tables_unchanged_and_creates_none(videos, tmp_path, refusing):
     (tmp_path / "keep.csv").write_text("of the last run")
     before = contents(tmp_path)
     option, name = refusing
@@ -115,7 +115,7 @@ def test_a_run_that_is_refused_costs_no_table_and_leaves_none(videos, tmp_path, 
         assert contents(tmp_path) == before
 
 
-def test_a_first_frame_that_is_refused_costs_no_table(videos, tmp_path):
+def test_a_refused_first_frame_leaves_tables_unchanged(videos, tmp_path):
     table = tmp_path / "keep.csv"
     table.write_text("of the last run")
     measured_in_larger_images = re.sub(r"(\d+\.\d{6})", r"\1e1", videos.read_text())
@@ -128,7 +128,7 @@ def test_a_first_frame_that_is_refused_costs_no_table(videos, tmp_path):
 
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder nobody can write into")
-def test_a_video_in_a_folder_that_cannot_be_written_into_costs_no_table(videos, tmp_path):
+def test_a_video_in_a_read_only_folder_leaves_tables_unchanged(videos, tmp_path):
     table = tmp_path / "keep.csv"
     table.write_text("of the last run")
     line = refused("run", videos, "--points", table, "--overlay", "/proc/overlay.mp4")
@@ -136,7 +136,7 @@ def test_a_video_in_a_folder_that_cannot_be_written_into_costs_no_table(videos, 
     assert table.read_text() == "of the last run"
 
 
-def test_a_video_grows_over_no_file_that_is_there(videos, tmp_path):
+def test_a_video_in_progress_overwrites_no_existing_file(videos, tmp_path):
     text = videos.read_text().replace("left.mp4", "left.part.mp4")
     videos.write_text(text)
     footage = (videos.parent / "left.mp4").rename(videos.parent / "left.part.mp4")
@@ -148,7 +148,7 @@ def test_a_video_grows_over_no_file_that_is_there(videos, tmp_path):
     assert names == ["left.mp4", "left.part.mp4", "right.mp4"]
 
 
-def test_a_table_with_the_name_of_a_part_stays_apart_from_the_video(videos, tmp_path):
+def test_a_table_may_have_the_name_of_a_video_in_progress(videos, tmp_path):
     table, video = tmp_path / "o.part.mp4", tmp_path / "o.mp4"
     done = invoked("run", videos, "--tracks", table, "--overlay", video, "--max-frames", 2)
     assert done.exit_code == 0, done.output
@@ -156,27 +156,27 @@ def test_a_table_with_the_name_of_a_part_stays_apart_from_the_video(videos, tmp_
     assert cv2.VideoCapture(str(video)).get(cv2.CAP_PROP_FRAME_COUNT) == 2
 
 
-def test_the_experiment_does_not_draw_over_what_it_reads(pictures):
+def test_the_experiment_does_not_draw_over_its_inputs(pictures):
     truth = pictures.with_name("truth.csv")
     image = pictures.parent / "right" / "00000.png"
     before = contents(pictures.parent)
     line = refused("experiment", "--recording", pictures, "--truth", truth, "--draw", image)
     assert f"--draw {image} would overwrite {image}" in line
-    named_so = truth.rename(truth.with_suffix(".png"))
-    line = refused("experiment", "--recording", pictures, "--truth", named_so, "--draw", named_so)
+    renamed = truth.rename(truth.with_suffix(".png"))
+    line = refused("experiment", "--recording", pictures, "--truth", renamed, "--draw", renamed)
     assert "the truth" in line
-    named_so.rename(truth)
+    renamed.rename(truth)
     assert contents(pictures.parent) == before
 
 
-def test_the_advice_is_not_drawn_over_what_it_reads(pictures):
+def test_advise_does_not_draw_over_its_inputs(pictures):
     image = pictures.parent / "left" / "00000.png"
     before = image.read_bytes()
     assert 'footage of view "left"' in refused("advise", pictures, "--draw", image)
     assert image.read_bytes() == before
 
 
-# --- over each other --------------------------------------------------------------------------
+# --- other outputs ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -187,7 +187,7 @@ def test_the_advice_is_not_drawn_over_what_it_reads(pictures):
         ("--points", "o.mp4", "--overlay", "o.mp4"),
     ],
 )
-def test_no_two_outputs_are_one_file(videos, tmp_path, monkeypatch, options):
+def test_two_outputs_to_one_file_are_refused(videos, tmp_path, monkeypatch, options):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there").mkdir()
     line = refused("run", videos, *options)
@@ -212,19 +212,19 @@ def test_different_files_and_the_null_device_pass(tmp_path):
     keep_apart({"--a": tmp_path / ("x" * 5000), "--b": tmp_path / ("y" * 5000)}, read)
 
 
-def test_a_rig_of_live_views_is_no_file(tmp_path, videos):
+def test_sources_of_live_views_are_not_treated_as_files(tmp_path, videos):
     text = videos.read_text().replace('"left.mp4"', "0").replace("right.mp4", "rtsp://nowhere/*")
     (tmp_path / "rig.toml").write_text(text)
     line = refused("run", tmp_path / "rig.toml", "--points", "p.csv", "--tracks", "p.csv")
     assert "are one file" in line
 
 
-# --- before the work, and after what was found out --------------------------------------------
+# --- pictures, before and after the work ------------------------------------------------------
 
 
 @pytest.fixture
 def no_work(monkeypatch):
-    """Fail where work is begun."""
+    """Fail if the work is begun."""
 
     def begun(*_: object, **__: object) -> None:
         pytest.fail("the work was begun")
@@ -243,7 +243,7 @@ def no_work(monkeypatch):
     ],
 )
 @pytest.mark.usefixtures("no_work")
-def test_a_picture_that_cannot_be_is_refused_before_the_work(pictures, tmp_path, picture, words):
+def test_an_invalid_picture_name_is_refused_before_the_work(pictures, tmp_path, picture, words):
     (tmp_path / "folder.png").mkdir()
     path = tmp_path / picture
     truth = pictures.with_name("truth.csv")
@@ -252,7 +252,7 @@ def test_a_picture_that_cannot_be_is_refused_before_the_work(pictures, tmp_path,
     assert words in refused("advise", pictures, "--draw", path)
 
 
-def test_a_picture_that_can_be_passes_and_is_not_begun(tmp_path):
+def test_a_valid_picture_name_passes_and_nothing_is_written(tmp_path):
     check_picture(tmp_path / "new.png")
     assert list(tmp_path.iterdir()) == []
 
@@ -273,7 +273,7 @@ def test_figures_are_printed_even_if_drawing_fails(pictures, tmp_path, monkeypat
     assert "No space left" in done.stderr
 
 
-# --- options that would do nothing ------------------------------------------------------------
+# --- options without effect -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -289,7 +289,7 @@ def test_figures_are_printed_even_if_drawing_fails(pictures, tmp_path, monkeypat
     ],
 )
 @pytest.mark.usefixtures("no_work")
-def test_options_of_the_simulation_do_not_go_with_a_recording(pictures, options):
+def test_options_of_the_simulation_are_refused_with_a_recording(pictures, options):
     truth = pictures.with_name("truth.csv")
     line = refused("experiment", "--recording", pictures, "--truth", truth, *options)
     assert f"{options[0]} does not go with --recording" in line
@@ -304,10 +304,10 @@ def test_a_recording_takes_the_other_options(pictures, tmp_path):
     assert (tmp_path / "e.png").stat().st_size > 0
 
 
-# --- what is told meanwhile -------------------------------------------------------------------
+# --- progress ---------------------------------------------------------------------------------
 
 
-def told(monkeypatch, capsys, *, watched: bool, counts: int) -> str:
+def progress(monkeypatch, capsys, *, watched: bool, counts: int) -> str:
     monkeypatch.setattr("sys.stderr.isatty", lambda: watched)
     with counting("moves") as count:
         for done in range(1, counts + 1):
@@ -315,13 +315,13 @@ def told(monkeypatch, capsys, *, watched: bool, counts: int) -> str:
     return capsys.readouterr().err
 
 
-def test_counting_shows_one_line_where_a_person_watches(monkeypatch, capsys):
-    said = told(monkeypatch, capsys, watched=True, counts=2)
+def test_counting_updates_one_line_on_a_terminal(monkeypatch, capsys):
+    said = progress(monkeypatch, capsys, watched=True, counts=2)
     assert [words.rstrip() for words in said.split("\r")] == ["", "1 of 2 moves", "2 of 2 moves"]
     assert said.endswith("\n")
     assert said.count("\n") == 1
 
 
-def test_counting_is_silent_where_nobody_watches_or_nothing_is_done(monkeypatch, capsys):
-    assert told(monkeypatch, capsys, watched=False, counts=2) == ""
-    assert told(monkeypatch, capsys, watched=True, counts=0) == ""
+def test_counting_is_silent_without_a_terminal_or_without_counts(monkeypatch, capsys):
+    assert progress(monkeypatch, capsys, watched=False, counts=2) == ""
+    assert progress(monkeypatch, capsys, watched=True, counts=0) == ""

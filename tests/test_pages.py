@@ -1,4 +1,4 @@
-"""Every command that README and docs/ name is one that there is, and the tutorials run."""
+"""Every command in README and docs/ exists, and the tutorials run."""
 
 import re
 import shlex
@@ -24,43 +24,43 @@ def fenced(page: Path) -> list[tuple[str, str]]:
 
 
 def commands(page: Path) -> list[str]:
-    """The lines of a page's blocks that begin with the program's name, or pipe into it."""
+    """Lines of a page's blocks that call the program or pipe into it."""
     shell = "".join(block for language, block in fenced(page) if language in {"", "sh", "text"})
     indented = re.findall(r"^    .*\n", page.read_text(encoding="utf-8"), re.MULTILINE)
     text = re.sub(r"\\\n\s*", "", shell + "".join(indented))
     return [line.strip() for line in COMMAND.findall(text)]
 
 
-def walked(group: click.Group, words: list[str], path: str) -> None:
-    """Parse the words as the program does, command by command, and run nothing."""
+def parse_words(group: click.Group, words: list[str], path: str) -> None:
+    """Parse the words as the program does, command by command, without running anything."""
     with group.make_context(path, list(words), resilient_parsing=False) as context:
         name, command, rest = group.resolve_command(context, context._protected_args + context.args)
         assert name is not None
         assert command is not None
         if isinstance(command, click.Group):
-            walked(command, rest, f"{path} {name}")
+            parse_words(command, rest, f"{path} {name}")
         else:
             command.make_parser(click.Context(command, info_name=name)).parse_args(list(rest))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_command_of_a_page_is_understood(page):
+def test_every_command_of_a_page_parses(page):
     for line in commands(page):
         words = [word for word in shlex.split(line)[1:] if word not in {"...", "…", "\\"}]
         if words and words != ["--version"]:
             try:
-                walked(main, words, "fingerpost")
+                parse_words(main, words, "fingerpost")
             except click.ClickException as error:
                 pytest.fail(f"{line}: {error.format_message()}")
 
 
-def test_commands_are_seen_and_judged():
+def test_commands_are_extracted_and_wrong_ones_refused():
     assert len(commands(ROOT / "README.md")) >= 10
     assert any(line.startswith("fingerpost run") for line in commands(ROOT / "docs" / "cameras.md"))
     with pytest.raises(click.ClickException):
-        walked(main, ["run", "rig.toml", "--point", "x"], "fingerpost")
+        parse_words(main, ["run", "rig.toml", "--point", "x"], "fingerpost")
     with pytest.raises(click.ClickException):
-        walked(main, ["robot", "fly"], "fingerpost")
+        parse_words(main, ["robot", "fly"], "fingerpost")
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""A hand before patterned cloth: edges everywhere, and most of them not the hand's."""
+"""A hand before patterned cloth: edges everywhere, few of which are the hand's."""
 
 from functools import cache
 
@@ -12,7 +12,7 @@ SIZE = (240, 320)
 FRAME_S = 1 / 30
 NOISE_GREY = 2.0
 FRAMES = 8
-"""Enough for the template to settle in."""
+"""Enough for the template to settle."""
 TIP = np.array([190.0, 130.0])
 ANGLE_RAD = 0.6
 HALF_WIDTH_PX = 7.5
@@ -28,7 +28,7 @@ def cloth(
     bands: NDArray[np.float64] = CLOTH,
     line: NDArray[np.float64] = LINE,
 ) -> NDArray[np.float64]:
-    """Checked cloth: bands both ways, and light lines where they begin."""
+    """Checked cloth: bands in two directions, each beginning with a light line."""
     v, u = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
     e = np.array([np.cos(angle_rad), np.sin(angle_rad)])
     along, across = e[0] * u + e[1] * v, -e[1] * u + e[0] * v
@@ -41,7 +41,7 @@ def cloth(
 
 @cache
 def hand() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How much of every pixel a finger and the hand that it is of cover, and their colours."""
+    """Coverage of every pixel by a finger and its hand (0 to 1), and the hand's colours."""
     v, u = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
     e = np.array([np.cos(ANGLE_RAD), np.sin(ANGLE_RAD)])
     along = (u - TIP[0]) * e[0] + (v - TIP[1]) * e[1] + HALF_WIDTH_PX
@@ -58,7 +58,7 @@ def noise(seed: int) -> NDArray[np.float64]:
 
 
 def picture(table: NDArray[np.float64], shows_hand: bool, seed: int) -> NDArray[np.uint8]:
-    """The table, before it the hand, blurred by its area, and noise."""
+    """The table, the hand in front of it by its coverage, and noise."""
     part, skin = hand()
     shown = (1.0 - part) * table + part * skin if shows_hand else table
     return np.clip(np.rint(shown + noise(seed)), 0, 255).astype(np.uint8)
@@ -82,19 +82,19 @@ def watch(tracker: ContourTracker, table: NDArray[np.float64], *, shows_hand: bo
 
 STARTS = [((3.0, 6.0), 0.05), ((-7.0, 4.0), -0.1), ((5.0, -8.0), 0.12)]
 COARSE = [(angle_rad, 40.0) for angle_rad in (0.2, 0.6, 1.1)]
-"""Checks whose bands are about as wide as the finger; of one cloth they run along it."""
+"""Checks with bands about as wide as the finger; those at 0.6 rad run along it."""
 CLEAR = [(0.6, 28.0), (1.1, 40.0)]
 """Cloth whose lines do not lead a waiting template away from the finger."""
 
 
 RANDOM = 120
-"""Cases of cloth, start and, where it says so, colours drawn at random."""
+"""Cases of random cloth and start, in one test with random colours."""
 MOST_WRONG = 0.08
-"""Of the lines told before random cloth, where now and then it has more of a hand than the hand."""
+"""Share of the lines reported before random cloth, parts of which can pass for the hand."""
 
 
 def drawn(case: int) -> tuple[tuple[float, float], tuple[tuple[float, float], float]]:
-    """Angle and size of a cloth's checks, and how far off a template waits."""
+    """Angle and size of a cloth's checks, and the offset of a waiting template."""
     rng = np.random.default_rng([77, case])
     pattern = float(rng.uniform(0.0, 1.57)), float(rng.choice([24.0, 32.0, 40.0, 48.0]))
     off_u_px, off_v_px = rng.uniform(-8.0, 8.0, 2)
@@ -102,46 +102,46 @@ def drawn(case: int) -> tuple[tuple[float, float], tuple[tuple[float, float], fl
 
 
 def is_right(track: Track) -> bool:
-    """Whether the line told is the finger's; how far it reaches along itself does not move it."""
+    """Return whether the reported line is the finger's; its tip may be off along the line."""
     line = track.finger_line
     assert line is not None
     (du, dv), ahead = np.array(line.tip_px) - TIP, np.array([np.cos(ANGLE_RAD), np.sin(ANGLE_RAD)])
-    along_px, aside_px = du * ahead[0] + dv * ahead[1], dv * ahead[0] - du * ahead[1]
+    along_px, lateral_px = du * ahead[0] + dv * ahead[1], dv * ahead[0] - du * ahead[1]
     return (
         abs(along_px) < HALF_WIDTH_PX
-        and abs(aside_px) < 2.0
+        and abs(lateral_px) < 2.0
         and abs(line.angle_rad - ANGLE_RAD) < 0.05
     )
 
 
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("pattern", COARSE)
-def test_what_is_followed_is_the_hand(start, pattern):
+def test_every_reported_line_is_the_hand_s(start, pattern):
     tracks = watch(waiting(*start), cloth(*pattern), shows_hand=True)
     assert all(is_right(track) for track in tracks if track.finger_line is not None)
 
 
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("pattern", COARSE)
-def test_its_tip_is_where_the_finger_ends(pattern, start):
+def test_the_reported_tip_is_the_finger_s_end(pattern, start):
     for track in watch(waiting(*start), cloth(*pattern), shows_hand=True):
         line = track.finger_line
         assert line is None or np.hypot(*(np.array(line.tip_px) - TIP)) < 2.0
 
 
-def test_what_is_followed_before_random_cloth_is_mostly_the_hand():
+def test_most_lines_reported_before_random_cloth_are_the_hand_s():
     cases = [drawn(case) for case in range(RANDOM)]
     tracks = [
         t
         for pattern, start in cases
         for t in watch(waiting(*start), cloth(*pattern), shows_hand=True)
     ]
-    told = [is_right(track) for track in tracks if track.finger_line is not None]
-    assert len(told) > 0.7 * len(tracks)
-    assert told.count(False) <= MOST_WRONG * len(told)
+    right = [is_right(track) for track in tracks if track.finger_line is not None]
+    assert len(right) > 0.7 * len(tracks)
+    assert right.count(False) <= MOST_WRONG * len(right)
 
 
-def test_no_random_cloth_is_a_hand():
+def test_random_cloth_is_never_accepted_as_a_hand():
     for case in range(RANDOM // 3):
         pattern, start = drawn(case)
         colours = np.random.default_rng([78, case]).uniform(20.0, 235.0, (4, 3))
@@ -158,6 +158,6 @@ def test_the_hand_is_found_before_cloth(start, pattern):
 
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("pattern", COARSE)
-def test_no_band_of_the_cloth_is_a_hand(start, pattern):
+def test_no_band_of_the_cloth_is_accepted_as_a_hand(start, pattern):
     tracks = watch(waiting(*start), cloth(*pattern), shows_hand=False)
     assert all(t.status == "acquiring" for t in tracks)

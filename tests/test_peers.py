@@ -1,4 +1,4 @@
-"""`benches/peers`: a peer that cannot be had here is skipped, with what would bring it."""
+"""`benches/peers`: a peer that is not available is skipped, and its installation named."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "peers", module)  # where dataclasses look for it
+    monkeypatch.setitem(sys.modules, "peers", module)  # dataclasses look it up there
     spec.loader.exec_module(module)
     monkeypatch.setattr(module, "BUILD", tmp_path)
     return module
@@ -52,7 +52,7 @@ def test_a_peer_without_a_compiler_is_skipped_with_the_command(
     assert f"`{INSTALL}`" in row
 
 
-def test_visp_names_the_package_that_brings_it(peers: ModuleType) -> None:
+def test_native_peers_name_their_package_and_have_a_source(peers: ModuleType) -> None:
     natives = [peer.native for peer in peers.PEERS if peer.native is not None]
     assert natives
     assert all(native.install.startswith("apt install ") for native in natives)

@@ -1,6 +1,6 @@
-"""What a picture shows is where the cameras and the plane say it is, and survives any fix.
+"""Pictures draw everything where cameras and plane project it, and accept any fix.
 
-Truth is the pinhole camera of `geometry_rig`, which projects points of the plane and the rod.
+The truth is the pinhole camera of `geometry_rig`, which projects points of the plane and the rod.
 """
 
 import dataclasses
@@ -57,15 +57,15 @@ UNDETERMINED = Fix(
     "no bound on the point along the constraint lines",
 )
 
-# Anti-aliased marks come close to the colour meant, not always up to it; between two pixels, a line
-# of one pixel shares it out.
+# Anti-aliased marks approximate their colour; a line one pixel wide between two rows of pixels is
+# spread over both.
 SAME_COLOUR = 40
 SHARED_OUT = 130
 
 
 @dataclasses.dataclass
 class Seen:
-    """An observation, as the pictures take it."""
+    """An observation, reduced to the fields that pictures use."""
 
     view: str = "left"
     frame: Frame | None = None
@@ -86,7 +86,7 @@ def seen(index=0, **changes):
 
 
 def searched(edges_px, agrees=True, half_length_px=10.0):
-    """Upright search lines about edges."""
+    """Vertical search lines centred at edges."""
     edges_px = np.asarray(edges_px, np.float64)
     ends = edges_px[:, None] + np.array([[0.0, -half_length_px], [0.0, half_length_px]])
     return SearchMarks(ends, edges_px, np.broadcast_to(agrees, len(edges_px)))
@@ -102,7 +102,7 @@ def plan_picture(fix=FIX, **options):
 
 
 def shows(picture, places, colour, tolerance=SAME_COLOUR):
-    """Whether a colour is seen at places: at one of the pixels around each."""
+    """Return whether one of the pixels around each place has a colour."""
     height, width = picture.shape[:2]
     answers = []
     for x, y in np.reshape(places, (-1, 2)):
@@ -118,7 +118,7 @@ def on_plane(points):
 
 
 def shadow(view, point):
-    """Where the plane is hidden by a point: the end of the ray from the camera through it."""
+    """The point of the plane that a point hides: where the ray from the camera through it ends."""
     ray = point - view.position
     return (view.position - ray * view.position[2] / ray[2])[:2]
 
@@ -127,7 +127,7 @@ def shadow(view, point):
 
 
 @pytest.mark.parametrize("index", [0, 1])
-def test_the_point_is_where_the_camera_sees_it(index):
+def test_the_point_is_drawn_where_the_camera_sees_it(index):
     (place,) = CAMERAS[index].project(on_plane(TARGET[None]))
     picture = view_picture(index)
     assert shows(picture, place, POINT)
@@ -135,7 +135,7 @@ def test_the_point_is_where_the_camera_sees_it(index):
 
 
 @pytest.mark.parametrize("size", [(320, 240), (1280, 960), (500, 700), (900, 300)])
-def test_the_point_moves_with_the_frame(size):
+def test_the_point_scales_with_the_frame(size):
     (place,) = CAMERAS[0].project(on_plane(TARGET[None]))
     scale = min(size[0] / SIZE[0], size[1] / SIZE[1])
     bars = (np.array(size) - scale * np.array(SIZE)) / 2
@@ -187,7 +187,7 @@ def test_the_finger_line_runs_from_the_tip_through_the_point():
 
 
 def test_the_other_views_constraint_line_crosses_it_in_the_point():
-    # On the plane it runs from the target to what the rod's tip hides from the other camera.
+    # On the plane it joins the target and the point that the rod's tip hides from the other camera.
     hidden = shadow(CAMERAS[1], ROD.tip)
     places = CAMERAS[0].project(
         on_plane(TARGET + np.linspace(0.2, 0.6, 9)[:, None] * (hidden - TARGET))
@@ -204,7 +204,7 @@ def test_the_other_views_constraint_line_crosses_it_in_the_point():
         (Status.LOST, "lost", (0.3, 0.65)),
     ],
 )
-def test_the_outline_tells_the_status_by_colour_and_by_stroke(finger, status, share):
+def test_the_outline_shows_the_status_by_colour_and_stroke(finger, status, share):
     places = np.column_stack([np.linspace(300.0, 620.0, 321), np.full(321, 20.0)])
     observed = seen(contour_px=places, finger=finger, frame=frame(level=60))
     picture = view_picture(fix=NO_FIX, observed=observed)
@@ -242,7 +242,7 @@ def test_the_ellipse_is_projected_back():
 
 
 def test_a_search_is_marked_when_asked_for():
-    # Wide enough to need no magnifier: a chosen edge, a rejected one, and a line without.
+    # Too wide for the magnifier: a chosen edge, a rejected one, a search line without an edge.
     x = np.array([60.0, 330.0, 600.0])
     marks = dataclasses.replace(
         searched(np.column_stack([x, np.full(3, 440.0)]), [True, False, False]),
@@ -257,7 +257,7 @@ def test_a_search_is_marked_when_asked_for():
     ends = marks.lines_px[:, 0] + [0.0, 2.0]
     assert shows(picture, ends, NORMAL, SHARED_OUT).all()
     changed = (picture != without).any(axis=-1)
-    # Shape tells them apart, not only colour: a bare line, a dot, a cross that reaches further.
+    # They differ in shape as well as colour: a bare line, a dot, a wider cross.
     spans = [int(changed[434:455, int(c) - 12 : int(c) + 13].any(axis=0).sum()) for c in x]
     assert spans[2] < spans[0] < spans[1]
     changed[425:460] = False
@@ -281,7 +281,7 @@ def test_a_small_search_is_magnified_away_from_hand_and_point(scale):
     # The hand is at the lower right, so the magnifier is at the upper left.
     assert red[0].max() < SIZE[1] / 2
     assert red[1].max() < SIZE[0] / 2
-    # The point may drive it elsewhere.
+    # A point there moves the magnifier elsewhere.
     x, y, w = np.linalg.solve(view.image_from_plane, [60.0 * scale, 60.0 * scale, 1.0])
     at_upper_left = dataclasses.replace(
         FIX, point=np.array([x / w, y / w]), covariance=np.eye(2), constraint_lines=(None,)
@@ -291,7 +291,7 @@ def test_a_small_search_is_magnified_away_from_hand_and_point(scale):
     assert red[0].max() >= SIZE[1] / 2 or red[1].max() >= SIZE[0] / 2
 
 
-def test_marks_of_edges_leave_the_outline_to_be_seen():
+def test_marks_of_edges_leave_the_outline_visible():
     outline = np.column_stack([np.arange(300.0, 620.0), np.full(320, 20.0)])
     observed = seen(search=searched(outline), contour_px=outline)
     picture = view_picture(fix=NO_FIX, observed=observed, edges=True)
@@ -333,7 +333,7 @@ def test_the_plan_is_true_to_scale():
 
 
 @pytest.mark.parametrize("index", [0, 1])
-def test_constraint_lines_are_what_the_finger_hides_on_the_plane(index):
+def test_constraint_lines_are_the_part_of_the_plane_that_the_finger_hides(index):
     plan = Plan.of(PLANE_VIEWS[0], SIZE)
     away = shadow(CAMERAS[index], ROD.tip) - TARGET
     points = TARGET + np.linspace(-1.0, 1.0, 21)[:, None] * away / np.linalg.norm(away) * 120.0
@@ -342,7 +342,7 @@ def test_constraint_lines_are_what_the_finger_hides_on_the_plane(index):
 
 
 def test_the_band_has_one_standard_deviation():
-    # A line along X at Y = 130, sure to 20 mm wherever one looks.
+    # A line along X at Y = 130, with σ = 20 mm everywhere.
     line = FIX.constraint_lines[0]
     line = dataclasses.replace(
         line, line=np.array([0.0, 1.0, -130.0]), covariance=np.diag([0.0, 0.0, 20.0**2])
@@ -380,7 +380,7 @@ def test_the_plan_is_never_mirrored(azimuth, elevation, mirrored, turn, unit):
 
 
 @pytest.mark.parametrize("azimuth", range(0, 360, 30))
-def test_the_plan_lies_as_the_view_sees_the_plane(azimuth):
+def test_the_plan_is_oriented_as_the_view_sees_the_plane(azimuth):
     view = camera(azimuth + 10.0, 60.0)
     plane = PlaneView.from_reference_points(CORNERS, view.project(on_plane(CORNERS)), np.eye(2))
     plan = Plan.of(plane, SIZE)
@@ -388,7 +388,8 @@ def test_the_plan_lies_as_the_view_sees_the_plane(azimuth):
     ahead = middle + np.eye(2)
     seen = plane.project(ahead) - plane.project(middle)
     drawn = plan.place(ahead) - plan.place(middle)
-    # The axis that the view sees run across runs across; the other runs up or down as it is seen.
+    # The plane's axis that is nearer to horizontal in the view is horizontal on the plan; the other
+    # points up or down as in the view.
     across = int(abs(seen[1, 0]) > abs(seen[0, 0]))
     assert plan.across == across
     assert abs(drawn[across, 0]) > 1e6 * abs(drawn[across, 1])
@@ -463,7 +464,7 @@ def test_ticks_are_few_round_and_in_place(side, aspect, shift, width, height):
         ((1e300, -1e300), (1, 1)),
     ],
 )
-def test_an_arrow_points_at_what_is_outside(away, corner):
+def test_an_arrow_points_at_a_point_outside_the_plan(away, corner):
     fix = dataclasses.replace(
         FIX, point=np.array(away) + SIDE / 2, covariance=np.eye(2), constraint_lines=(None, None)
     )
@@ -482,7 +483,7 @@ def test_an_arrow_points_at_what_is_outside(away, corner):
     assert not (np.abs(plan_picture().astype(int) - POINT).max(axis=-1)[:60] <= SAME_COLOUR).any()
 
 
-def test_the_trail_fades_and_the_truth_breaks():
+def test_the_trail_fades_and_the_truth_has_gaps():
     trail = np.column_stack([np.linspace(50.0, 350.0, 7), np.full(7, 350.0)])
     plan = Plan.of(PLANE_VIEWS[0], SIZE)
     picture = plan_picture(NO_FIX, trail=trail)
@@ -532,7 +533,7 @@ def test_the_same_moment_gives_the_same_bits():
     assert (pictures[0] == pictures[1]).all()
 
 
-def test_every_panel_and_the_numbers_are_there():
+def test_every_panel_and_the_numbers_are_drawn():
     whole = composition().draw(observations(), FIX)
     panels = [view_picture(k, size_px=(552, 414)) for k in (0, 1)]
     panels.append(plan_picture(size_px=(552, 414)))
@@ -543,21 +544,21 @@ def test_every_panel_and_the_numbers_are_there():
     assert (whole[-48:] != footer).any()
 
 
-def test_why_stands_under_each_view_only_where_the_search_is_shown():
+def test_reasons_are_printed_below_each_view_only_if_edges_are_drawn():
     why = ("refused: 31 % agree", "100 lines")
     plain = composition().draw(observations(reasons=why), FIX)
     assert (plain == composition().draw(observations(), FIX)).all()
-    told = composition(edges=True).draw(observations(reasons=why), FIX)
-    untold = composition(edges=True).draw(observations(), FIX)
-    changed = (told != untold).any(axis=-1)
+    with_why = composition(edges=True).draw(observations(reasons=why), FIX)
+    without = composition(edges=True).draw(observations(), FIX)
+    changed = (with_why != without).any(axis=-1)
     below = 38 + 414
-    assert told.shape[0] > plain.shape[0]
-    assert (told[:below] == plain[:below]).all()
-    assert (told[-48:] == plain[-48:]).all()
+    assert with_why.shape[0] > plain.shape[0]
+    assert (with_why[:below] == plain[:below]).all()
+    assert (with_why[-48:] == plain[-48:]).all()
     assert changed[below:-48, :572].any()
     assert changed[below:-48, 588:1140].any()
-    # Under the plan stands what the marks mean.
-    legend = untold[below:-48, 1156:1708].astype(int)
+    # The legend of the marks is below the plan.
+    legend = without[below:-48, 1156:1708].astype(int)
     assert (np.abs(legend - REJECTED).max(axis=-1) <= 2 * SAME_COLOUR).any()
 
 
@@ -600,13 +601,13 @@ def test_a_point_behind_the_camera_is_not_shown_in_its_view():
 
 
 @pytest.mark.parametrize("size", [(1, 1), (7, 3), (30, 200), (200, 30)])
-def test_small_pictures_are_drawn_too(size):
+def test_small_pictures_are_drawn(size):
     assert view_picture(size_px=size).shape == (size[1], size[0], 3)
     assert plan_picture(size_px=size).shape == (size[1], size[0], 3)
 
 
 @pytest.mark.skipif(not hasattr(cv2, "FontFace"), reason="both letterings are the same there")
-def test_old_letters_take_the_place_of_the_typeface(monkeypatch):
+def test_stroke_letters_replace_a_missing_typeface(monkeypatch):
     with_typeface = composition().draw(observations(), FIX)
     monkeypatch.setattr("fingerpost.recording.sheet._typeface", lambda: None)
     with_strokes = composition().draw(observations(), FIX)
@@ -615,7 +616,7 @@ def test_old_letters_take_the_place_of_the_typeface(monkeypatch):
     assert shows(with_strokes, (place + 0.5) * 552 / 640 - 0.5 + [20.0, 38.0], POINT)
 
 
-def test_what_cannot_be_a_picture_is_refused():
+def test_invalid_input_is_refused():
     with pytest.raises(InvalidInputError, match="plane_views is empty"):
         Composition([], unit="mm")
     with pytest.raises(InvalidInputError, match="1 observations; one for each of 2 views"):
@@ -651,12 +652,12 @@ DICHROMATS = {
 JUST_NOTICEABLE = 2.3  # CIE76 colour difference
 
 
-@pytest.mark.parametrize("sight", DICHROMATS)
-def test_colours_stay_apart_for_colour_blind_people(sight):
+@pytest.mark.parametrize("vision", DICHROMATS)
+def test_colours_stay_distinguishable_for_colour_blind_people(vision):
     marks = [*VIEWS, POINT, STATUSES["tracking"], STATUSES["lost"], INK, PANEL]
     srgb = np.array(marks)[:, ::-1] / 255.0
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    seen_linear = np.clip(linear @ np.transpose(DICHROMATS[sight]), 0.0, 1.0)
+    seen_linear = np.clip(linear @ np.transpose(DICHROMATS[vision]), 0.0, 1.0)
     lab = cv2.cvtColor(np.float32(seen_linear)[None], cv2.COLOR_LRGB2Lab)[0]
     apart = np.linalg.norm(lab[:, None] - lab, axis=-1)
     assert apart[~np.eye(len(marks), dtype=bool)].min() > 6 * JUST_NOTICEABLE

@@ -1,4 +1,4 @@
-"""The main loop on recordings whose truth is known: files in, fixes out."""
+"""The main loop on simulated recordings with known truth: from files to fixes."""
 
 import csv
 import dataclasses
@@ -38,12 +38,12 @@ from fingerpost.simulated_rig_file import rig_from_simulation
 SEED = 20
 FRAMES = 24
 FPS = 30.0
-# One millimetre on a plane of 400 mm, with noise, a taper and references off by 0.1 px.
+# For a plane of 400 mm, with noise, a taper and a reference noise of 0.1 px.
 ACCURACY_MM = 3.0
 
 
 def pointing_path() -> Trajectory:
-    """A rod over the middle of the plane, its target wandering by some centimetres."""
+    """A rod above the middle of the plane whose target moves by some centimetres."""
     first = DevicePose.pointing_at((160.0, 180.0), azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0)
     last = DevicePose.pointing_at((230.0, 220.0), azimuth_deg=30.0, slant_deg=50.0, hover_mm=120.0)
     return Trajectory.hold(first, 0.3).then(Trajectory.through([first, last], 0.5))
@@ -96,7 +96,7 @@ def test_max_frames_ends_the_run(recording):
     assert len(list(fp.track(Rig.load(recording), max_frames=5))) == 5
 
 
-def test_a_third_view_that_is_lost_costs_nothing():
+def test_a_lost_third_view_does_not_prevent_a_fix():
     cameras = Placement(azimuths_deg=(-15.0, 15.0, 35.0))
     rig = SimulatedRig(cameras)
     rng = np.random.default_rng(SEED)
@@ -116,7 +116,7 @@ def test_a_third_view_that_is_lost_costs_nothing():
 
 
 def with_references(rig: Rig, plane_points: list[tuple[float, float]]) -> Rig:
-    """The rig with other reference points, where its own ones say that they are."""
+    """The rig with other reference points, placed in the images by its own ones."""
     views = []
     for view in rig.views:
         T = estimate_image_from_plane(rig.plane.points, view.reference_points_px)
@@ -126,29 +126,29 @@ def with_references(rig: Rig, plane_points: list[tuple[float, float]]) -> Rig:
     return msgspec.structs.replace(rig, plane=plane, views=tuple(views))
 
 
-def told_of_a_bump(
+def steps_of_a_bump(
     background: Background,
     change: Callable[[NDArray[np.uint8]], NDArray[np.uint8]],
     plane_points: list[tuple[float, float]],
 ) -> list[Step]:
-    """What a pointer tells of a hand that rests, while the second camera is bumped for a while."""
+    """Steps of a resting hand; the second camera is displaced in frames 12 to 23."""
     rig = SimulatedRig(background=background)
     rng, motion = np.random.default_rng(SEED), pointing_path()
     pointer = Pointer(with_references(as_configured(rig, motion), plane_points))
-    told = []
+    reported = []
     for k in range(36):
         first, second = rig.render(motion, time_s=0.0, rng=rng).images
         bumped = np.roll(change(second), (-3, 5), axis=(0, 1)) if 12 <= k < 24 else change(second)
         (step,) = pointer.update([Frame(k, k / FPS, image) for image in (first, bumped)])
-        told.append(step)
-    return told
+        reported.append(step)
+    return reported
 
 
-def test_a_view_whose_camera_has_moved_points_as_before():
+def test_a_view_whose_camera_has_moved_gives_the_same_point():
     corners = [(0.0, 0.0), (400.0, 0.0), (400.0, 400.0), (0.0, 400.0)]
-    told = told_of_a_bump(Background(clutter=30.0, sheet=60.0), lambda image: image, corners)
-    before, during, after = told[11], told[23], told[35]
-    assert [step.fix.status for step in told[11:]] == 25 * [Status.OK]
+    reported = steps_of_a_bump(Background(clutter=30.0, sheet=60.0), lambda image: image, corners)
+    before, during, after = reported[11], reported[23], reported[35]
+    assert [step.fix.status for step in reported[11:]] == 25 * [Status.OK]
     moved = during.observations[1]
     assert moved.moved_px == pytest.approx(np.hypot(5.0, 3.0), abs=0.2)
     assert moved.reasons[-1].startswith("camera moved by 6 px")
@@ -160,8 +160,8 @@ def test_a_view_whose_camera_has_moved_points_as_before():
     assert after.observations[1].plane_view is before.observations[1].plane_view
 
 
-def test_a_view_whose_camera_has_moved_from_a_plain_table_tells_nothing_until_it_is_back():
-    # What tells of the bump lies about the picture's border, where no plane is known.
+def test_a_camera_moved_before_a_plain_table_gives_no_fix_until_it_is_back():
+    # The bump shows only at the picture's border, where the plane is not known.
     texture = np.random.default_rng(SEED).uniform(40, 200, (40, 54)).astype(np.float32)
     texture = cv2.resize(texture, (640, 480), interpolation=cv2.INTER_CUBIC)
 
@@ -171,24 +171,24 @@ def test_a_view_whose_camera_has_moved_from_a_plain_table_tells_nothing_until_it
         return framed
 
     middle = [(100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0)]
-    told = told_of_a_bump(Background(), with_border, middle)
-    assert [step.fix.status for step in (told[11], told[23], told[35])] == [
+    reported = steps_of_a_bump(Background(), with_border, middle)
+    assert [step.fix.status for step in (reported[11], reported[23], reported[35])] == [
         Status.OK,
         Status.ILL_CONDITIONED,
         Status.OK,
     ]
-    still, moved = told[23].observations
-    assert told[23].fix.reason == (
+    still, moved = reported[23].observations
+    assert reported[23].fix.reason == (
         f'view "{moved.view}": the camera has moved the reference points by 6 px'
     )
     assert "moved" not in " ".join(still.reasons)
     assert moved.reasons[0] == "the camera has moved the reference points by 6 px"
     assert moved.track_row().status == "tracking"
-    assert told[35].observations[1].moved_px == 0.0
+    assert reported[35].observations[1].moved_px == 0.0
 
 
 def as_configured(rig: SimulatedRig, motion: Trajectory) -> Rig:
-    """The simulated rig as a rig file would have it."""
+    """The simulated rig as a rig file describes it."""
     fingers = [view.finger for view in rig.truth(motion, time_s=0.0).views]
     return rig_from_simulation(rig, starts=[finger.start() for finger in fingers])
 
@@ -196,7 +196,7 @@ def as_configured(rig: SimulatedRig, motion: Trajectory) -> Rig:
 def test_views_that_follow_different_fingers_give_no_point():
     rig = SimulatedRig()
     first = DevicePose.pointing_at((160.0, 180.0), azimuth_deg=20.0, slant_deg=50.0, hover_mm=60.0)
-    # Off the first one's epipolar lines; their lines cross in a point like any others.
+    # Off the first finger's epipolar lines; the two finger lines still intersect in a point.
     second = dataclasses.replace(first, tip_mm=(*first.tip_mm[:2], first.tip_mm[2] + 90.0))
     motions = [Trajectory.hold(pose, 1.0) for pose in (first, second)]
     views = [as_configured(rig, motion).views[k] for k, motion in enumerate(motions)]
@@ -212,7 +212,7 @@ def test_views_that_follow_different_fingers_give_no_point():
     assert "its fingertip is not that of the other views" in fixes[-1].reason
 
 
-def test_views_that_are_captured_at_different_times_are_brought_to_one():
+def test_views_captured_at_different_times_are_interpolated_to_one():
     skew_s = 0.4 / FPS
     motion = pointing_path()
     skewed = SimulatedRig(Placement(time_skews_s=(0.0, skew_s)))
@@ -225,8 +225,8 @@ def test_views_that_are_captured_at_different_times_are_brought_to_one():
         truth[k] = np.asarray(motion.pose_at(time_s).indicated_mm)
         frames = [Frame(k, time_s + lag, i) for i, lag in zip(images, (0.0, skew_s), strict=True)]
         for step in pointer.update(frames):
-            # The second view's frame of this step comes after the first view's: a frame later the
-            # first view's time has neighbours on both sides.
+            # The second view's frame of a step is later than the first view's: one frame later,
+            # the first view's time has neighbours on both sides.
             assert step.fix.time_s == pytest.approx(step.index / FPS)
             if step.fix.status is Status.OK:
                 found[step.index] = np.hypot(*(step.fix.point - truth[step.index]))
@@ -235,7 +235,7 @@ def test_views_that_are_captured_at_different_times_are_brought_to_one():
 
 
 class Rendered(Source):
-    """The frames of one view of a simulated rig, as a recording of its own rate would give them."""
+    """Frames of one view of a simulated rig, as a recording with a frame rate of its own."""
 
     kind = SourceKind.RECORDED
 
@@ -256,59 +256,59 @@ class Rendered(Source):
         """There is nothing to close."""
 
 
-def told_of_rates(rates: tuple[float, float], lag_s: float = 0.0) -> list[Step]:
-    """What a pointer tells of a hand that two views show at rates of their own."""
+def steps_at_rates(rates: tuple[float, float], lag_s: float = 0.0) -> list[Step]:
+    """Steps of two views with the given frame rates [Hz]."""
     rig, motion = SimulatedRig(), pointing_path()
     sources = [Rendered(rig, motion, k, rates[k], (0.0, lag_s)[k]) for k in (0, 1)]
     return list(steps(Pointer(as_configured(rig, motion)), read_views(sources)))
 
 
 @pytest.mark.parametrize("rates", [(FPS, FPS / 2), (FPS, 5 * FPS / 6), (FPS / 2, FPS)])
-def test_views_that_are_recorded_at_different_rates_point_at_every_frame_of_the_first(rates):
-    told, motion = told_of_rates(rates), pointing_path()
-    assert [step.index for step in told] == list(range(len(told)))
-    assert len(told) >= int(FRAMES / FPS * rates[0]) - 2
-    # Settling takes as many frames of the slower view as of any.
-    late = [step for step in told if step.fix.time_s > 5 / min(rates)]
+def test_views_with_different_frame_rates_give_a_fix_for_every_frame_of_the_first(rates):
+    reported, motion = steps_at_rates(rates), pointing_path()
+    assert [step.index for step in reported] == list(range(len(reported)))
+    assert len(reported) >= int(FRAMES / FPS * rates[0]) - 2
+    # Settling takes the same number of frames in every view, so the slower one decides.
+    late = [step for step in reported if step.fix.time_s > 5 / min(rates)]
     found = [step for step in late if step.fix.status is Status.OK]
     assert len(found) >= 0.8 * len(late) >= 4
     misses = [step.fix.point - motion.pose_at(step.fix.time_s).indicated_mm for step in found]
-    # Where it sets out, the hand does not move in proportion to time from one frame to the next.
+    # The median, since interpolation between frames is wrong where the hand starts to move.
     assert np.median(np.hypot(*np.transpose(misses))) < ACCURACY_MM
 
 
-def test_views_too_slow_to_be_brought_to_one_time_say_so():
-    told = told_of_rates((8.0, 8.0), lag_s=0.02)
-    reasons = {step.fix.reason for step in told[-3:-1]}
+def test_views_too_slow_for_interpolation_say_so():
+    reported = steps_at_rates((8.0, 8.0), lag_s=0.02)
+    reasons = {step.fix.reason for step in reported[-3:-1]}
     assert reasons == {'view "right": no finger line for 0.125 s; at most 0.1 s are bridged'}
 
 
-def test_a_view_that_falls_behind_holds_the_others_up_no_longer_than_it_may():
+def test_a_view_that_falls_behind_delays_the_others_by_at_most_the_limit():
     motion, rig = pointing_path(), SimulatedRig()
     pointer = Pointer(as_configured(rig, motion))
     images = rig.render(motion, time_s=0.0, rng=SEED).images
     for k in range(8):
         assert len(list(pointer.update([Frame(k, k / FPS, image) for image in images]))) == 1
-    told: list[Step] = []
+    reported: list[Step] = []
     for k in range(8, 30):
-        told += pointer.update([Frame(k, k / FPS, images[0]), None])
-        # 0.1 s are three frames, and the next one shows that it is too late.
-        assert k - 8 - 4 < len(told) <= k - 8
-    last = told[-1]
+        reported += pointer.update([Frame(k, k / FPS, images[0]), None])
+        # 0.1 s are three frames; the next one shows that the limit is exceeded.
+        assert k - 8 - 4 < len(reported) <= k - 8
+    last = reported[-1]
     assert last.fix.status is Status.LOST
     assert 'view "right": no frame for 0.1' in last.fix.reason
     assert "at most 0.1 s are waited for" in last.fix.reason
 
 
-def test_the_last_frames_are_told_even_if_no_later_one_comes():
+def test_the_last_frames_are_reported_without_a_later_one():
     motion = pointing_path()
     rig = SimulatedRig()
     pointer = Pointer(as_configured(rig, motion))
     images = rig.render(motion, time_s=0.0, rng=SEED).images
     late = [Frame(0, 1.0, images[0]), Frame(0, 0.9, images[1])]
-    told = list(steps(pointer, [late]))
-    assert [step.index for step in told] == [0]
-    assert told[0].fix.status is Status.LOST
+    reported = list(steps(pointer, [late]))
+    assert [step.index for step in reported] == [0]
+    assert reported[0].fix.status is Status.LOST
 
 
 def test_a_frame_that_cannot_be_read_is_a_lost_frame_of_that_view():
@@ -322,12 +322,12 @@ def test_a_frame_that_cannot_be_read_is_a_lost_frame_of_that_view():
     images = rig.render(motion, time_s=0.0, rng=rng).images
     gap = list(pointer.update([Frame(8, 8 / FPS, images[0]), None]))
     after = list(pointer.update([Frame(9, 9 / FPS, image) for image in images]))
-    # The view without a frame has neighbours in time, so nothing is lost but one frame of delay.
+    # The view without a frame has neighbours in time: the only cost is one frame of delay.
     assert [step.index for step in gap + after] == [8, 9]
     assert all(step.fix.status is Status.OK for step in gap + after)
 
 
-def test_a_frame_that_one_tracker_refuses_costs_no_other_view_its_own():
+def test_a_frame_that_one_tracker_refuses_does_not_affect_other_views():
     motion, rig = pointing_path(), SimulatedRig()
     pointer = Pointer(as_configured(rig, motion))
     first, second = rig.render(motion, time_s=0.0, rng=SEED).images
@@ -341,14 +341,15 @@ def test_a_frame_that_one_tracker_refuses_costs_no_other_view_its_own():
     assert step.fix.status is Status.OK
 
 
-# What a frame may borrow while it is worked on: finger lines, contours and search lines of two
-# views. A copy of one of its images would take 300 kB.
+# Memory in use while a frame is processed: finger lines, contours and search lines of two views.
+# A copy of one image would take 300 kB.
 MOST_BYTES_A_FRAME = 14_000
-# The least object, kept of each of 200 frames, would be 4,800; less than half is the test's own.
+# The smallest object, if each of 200 frames kept one, would take 4,800; the test itself keeps less
+# than half of that.
 MOST_BYTES_KEPT = 2000
 
 
-def test_a_frame_in_the_steady_state_borrows_little_and_keeps_nothing():
+def test_a_frame_allocates_little_and_keeps_nothing():
     motion, rig = pointing_path(), SimulatedRig()
     pointer = Pointer(as_configured(rig, motion))
     rng = np.random.default_rng(SEED)
@@ -370,7 +371,7 @@ def test_a_frame_in_the_steady_state_borrows_little_and_keeps_nothing():
         feed(range(60))
         gc.collect()
         kept = tracemalloc.get_traced_memory()[0]
-        # A collection empties the interpreter's free lists, which the next frame fills again.
+        # A collection empties the interpreter's free lists; the next frame refills them.
         feed(range(60, 61))
         peak_bytes = 0
         feed(range(61, 261))
@@ -382,22 +383,22 @@ def test_a_frame_in_the_steady_state_borrows_little_and_keeps_nothing():
     assert kept < MOST_BYTES_KEPT
 
 
-def test_an_observation_tells_what_the_search_found_and_why_the_frame_counts():
+def test_an_observation_reports_search_and_reasons():
     motion = pointing_path()
     rig = SimulatedRig()
     pointer = Pointer(as_configured(rig, motion))
     rng = np.random.default_rng(SEED)
-    told = []
+    reported = []
     for k in range(10):
         images = rig.render(motion, time_s=0.0, rng=rng).images
         gone = np.full_like(images[1], 70)
         frames = [Frame(k, k / FPS, image) for image in (images[0], gone if k > 7 else images[1])]
-        told += [step.observations for step in pointer.update(frames)]
-    tracked, lost = told[7][1], told[9][1]
+        reported += [step.observations for step in pointer.update(frames)]
+    tracked, lost = reported[7][1], reported[9][1]
     search, diagnostics = tracked.search, tracked.track.diagnostics
     assert search.agrees.sum() == diagnostics.inliers > 50
     assert np.isfinite(search.edges_px).all(axis=1).sum() == diagnostics.hits
-    # Every edge lies on its line, and the middle of the line on the contour or close by.
+    # Every edge lies on its search line, and close to the contour.
     begins, ends = search.lines_px[:, 0], search.lines_px[:, 1]
     chosen = search.agrees
     detour = np.linalg.norm(search.edges_px - begins, axis=1)
@@ -413,7 +414,7 @@ def test_an_observation_tells_what_the_search_found_and_why_the_frame_counts():
     assert f"{diagnostics.inliers} agree" in details
     assert f"innovation {diagnostics.innovation:.1f}" in details
     assert f"line from {tracked.track.finger_line.source}" in details
-    assert any(views[1].reasons[0].startswith("settling: ") for views in told)
+    assert any(views[1].reasons[0].startswith("settling: ") for views in reported)
     assert not lost.search.agrees.any()
     assert lost.reasons[0].startswith("refused: ")
     assert "0 agree" in lost.reasons[1]
@@ -437,8 +438,8 @@ def test_an_observation_tells_what_the_search_found_and_why_the_frame_counts():
         ("misfit", "refused: the finger is bent"),
     ],
 )
-def test_a_refusal_names_what_was_asked(refusal, decision):
-    told = SimpleNamespace(
+def test_a_refusal_names_value_and_limit(refusal, decision):
+    diagnostics = SimpleNamespace(
         accepted=False,
         refusal=refusal,
         agreement=0.31,
@@ -448,7 +449,7 @@ def test_a_refusal_names_what_was_asked(refusal, decision):
         innovation=None,
         bend_rad=0.6,
     )
-    track = SimpleNamespace(diagnostics=told, finger_line=None)
+    track = SimpleNamespace(diagnostics=diagnostics, finger_line=None)
     frame = Frame(0, 0.0, np.zeros((4, 4), np.uint8))
     observed = Observation("left", frame, track, np.empty((0, 2)), None)
     assert observed.reasons[0] == decision
@@ -464,7 +465,7 @@ def test_a_rig_that_cannot_point_is_refused(recording):
 
 
 def said_by_run(rig: Rig, folder: Path, *options: str) -> tuple[int, str]:
-    """Exit code of `fingerpost run`, and the one line that it says about an error."""
+    """Exit code of `fingerpost run` and its only line on stderr."""
     rig.save(folder / "rig.toml")
     done = CliRunner().invoke(main, ["run", str(folder / "rig.toml"), *options])
     (line,) = done.stderr.splitlines()
@@ -478,7 +479,7 @@ def with_view(rig: Rig, index: int, **changes: object) -> Rig:
 
 
 def stretched(rig: Rig, factor: float) -> Rig:
-    """The rig as it would have been measured in larger images."""
+    """The rig as measured in images larger by a factor."""
     for k, view in enumerate(rig.views):
         points_px = factor * np.array(view.reference_points_px)
         rig = with_view(rig, k, reference_points_px=tuple(map(tuple, points_px.tolist())))
@@ -497,14 +498,14 @@ def test_a_rig_that_was_measured_in_larger_images_is_refused_at_the_first_frame(
         next(fp.track(stretched(rig, 2.0)))
 
 
-def test_a_hand_that_waits_outside_one_view_is_looked_for(recording):
+def test_a_hand_with_a_start_outside_one_view_is_searched_for(recording):
     rig = Rig.load(recording)
     start = msgspec.structs.replace(rig.views[1].start, tip_px=(700.0, 100.0))
     statuses = [fix.status for fix in fp.track(with_view(rig, 1, start=start))]
     assert Status.OK in statuses
 
 
-def test_points_that_lie_just_outside_are_nothing_wrong(recording):
+def test_reference_points_slightly_outside_the_image_are_accepted(recording):
     rig = Rig.load(recording)
     plane_points = [*rig.plane.points[:2], (400.0, 900.0), (0.0, 900.0)]
     beyond = with_references(rig, plane_points)
@@ -512,7 +513,7 @@ def test_points_that_lie_just_outside_are_nothing_wrong(recording):
     assert len(list(fp.track(beyond, max_frames=2))) == 2
 
 
-def test_views_that_wind_the_points_differently_are_refused_and_alike_are_not(recording, tmp_path):
+def test_different_winding_in_two_views_is_refused_and_equal_winding_is_not(recording, tmp_path):
     rig = Rig.load(recording)
 
     def wound_back(rig: Rig, index: int) -> Rig:
@@ -523,7 +524,7 @@ def test_views_that_wind_the_points_differently_are_refused_and_alike_are_not(re
     assert code == 2
     assert "the views see the plane from different sides" in line
     assert "in the order of plane.points" in line
-    # A plane whose axes turn the other way round, for all views alike.
+    # The plane's handedness is reversed in every view.
     mirrored = wound_back(wound_back(rig, 0), 1)
     assert len(Pointer(mirrored).views) == 2
 
@@ -535,7 +536,7 @@ def test_views_of_one_source_are_refused(recording, tmp_path):
     assert 'views "left" and "right" both read' in line
 
 
-def test_an_image_of_another_size_ends_the_run_and_what_was_told_stays(recording, tmp_path):
+def test_an_image_of_another_size_ends_the_run_and_keeps_earlier_rows(recording, tmp_path):
     rig = Rig.load(recording)
     for k, view in enumerate(rig.views):
         (tmp_path / view.name).mkdir()
@@ -561,7 +562,7 @@ def test_an_image_of_another_size_ends_the_run_and_what_was_told_stays(recording
     ]
 
 
-def test_frames_that_change_their_size_are_refused_however_they_come():
+def test_frames_that_change_their_size_are_refused_without_files():
     motion, rig = pointing_path(), SimulatedRig()
     pointer = Pointer(as_configured(rig, motion))
     images = rig.render(motion, time_s=0.0, rng=SEED).images
@@ -575,7 +576,7 @@ def test_frames_that_change_their_size_are_refused_however_they_come():
     )
 
 
-def test_colour_images_are_tracked_as_well():
+def test_colour_images_are_tracked():
     motion = pointing_path()
     rig = SimulatedRig()
     pointer = Pointer(as_configured(rig, motion))

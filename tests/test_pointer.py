@@ -1,4 +1,4 @@
-"""What a pointer does not take from a program: in words, with the value and its place."""
+"""Invalid input to `track` and `Pointer`: refused with a message that names value and place."""
 
 import math
 from pathlib import Path
@@ -45,20 +45,20 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
         ({"tracker_options": {"model": 3}}, "tracker_options.model is 3"),
     ],
 )
-def test_options_that_cannot_be_are_refused_by_name(rig, options, words):
+def test_invalid_options_are_refused_by_name(rig, options, words):
     with pytest.raises(InvalidInputError) as raised:
         list(fingerpost.track(rig, **options))
     assert words in str(raised.value)
     assert str(raised.value).isprintable()
 
 
-def test_the_name_of_a_rig_file_is_no_rig():
+def test_the_name_of_a_rig_file_is_refused():
     with pytest.raises(InvalidInputError, match=r"rig is 'rig.toml'; a Rig is needed"):
         list(fingerpost.track("rig.toml"))
 
 
 @pytest.mark.parametrize(("count", "fixes"), [(0, 0), (2, 2), (np.int64(2), 2), (10**20, 3)])
-def test_as_many_frames_as_are_asked_for_are_told(rig, count, fixes):
+def test_max_frames_limits_the_number_of_fixes(rig, count, fixes):
     assert len(list(fingerpost.track(rig, max_frames=count))) == fixes
 
 
@@ -76,7 +76,7 @@ def test_as_many_frames_as_are_asked_for_are_told(rig, count, fixes):
         (None, "is a NoneType"),
     ],
 )
-def test_what_is_no_image_is_refused_with_view_and_frame(rig, image, words):
+def test_invalid_images_are_refused_with_view_and_frame(rig, image, words):
     with pytest.raises(InvalidInputError) as raised:
         list(Pointer(rig).update([Frame(7, 0.0, GREY), Frame(7, 0.0, image)]))
     assert str(raised.value).startswith('view "right": the image of frame 7')
@@ -85,7 +85,7 @@ def test_what_is_no_image_is_refused_with_view_and_frame(rig, image, words):
 
 
 @pytest.mark.parametrize("time_s", [math.nan, math.inf, "now", None])
-def test_what_is_no_time_is_refused_with_view_and_frame(rig, time_s):
+def test_invalid_times_are_refused_with_view_and_frame(rig, time_s):
     with pytest.raises(InvalidInputError, match='view "left": time_s of frame 7 is'):
         list(Pointer(rig).update([Frame(7, time_s, GREY), None]))
 
@@ -101,11 +101,11 @@ def test_what_is_no_time_is_refused_with_view_and_frame(rig, time_s):
         ([None, "right.png"], 'view "right": str found'),
     ],
 )
-def test_what_is_no_frame_of_every_view_is_refused(rig, frames, words):
+def test_invalid_sets_of_frames_are_refused(rig, frames, words):
     pointer = Pointer(rig)
     with pytest.raises(InvalidInputError) as raised:
         list(pointer.update(frames))
     assert words in str(raised.value)
     assert str(raised.value).isprintable()
-    # Nothing of it has been used: the next frames are taken as ever.
+    # It has not changed the pointer: the next frames are accepted.
     assert len(list(pointer.update([Frame(0, 0.0, GREY), Frame(0, 0.0, GREY)]))) == 1

@@ -37,7 +37,7 @@ from fingerpost.uncertainty import UNBOUNDED, homography_covariance, intersect
 
 EXACT = 1e-9 * SIDE
 
-# A tracker near the physical limit at 640 × 480, and one that is 10 times worse.
+# A tracker near the physical limit at 640 × 480, and one with 10 times its σ.
 FINE = np.diag([0.005**2, np.radians(0.016) ** 2])
 COARSE = 100 * FINE
 
@@ -88,15 +88,15 @@ def test_a_thousand_random_rigs_are_exact():
 
 
 @pytest.mark.parametrize("count", [2, 3, 5])
-def test_any_number_of_views_meet_in_the_point(count):
+def test_lines_of_any_number_of_views_intersect_in_the_point(count):
     cameras = [camera(a) for a in np.linspace(-40, 40, count)]
     fix = fix_of(cameras, rod([120, 260], 20.0, 45.0, 150.0))
     assert np.hypot(*(fix.point - [120, 260])) <= EXACT
     assert len(fix.constraint_lines) == count
 
 
-def test_plane_coordinates_may_be_any():
-    """Robot coordinates: metres, turned, with an origin that the cameras do not see."""
+def test_any_plane_coordinates_are_accepted():
+    """Robot coordinates: metres, rotated, with an origin out of the cameras' view."""
     cameras, pointing = stereo(), rod([120, 260], 20.0, 45.0, 150.0)
     turn = np.radians(130)
     similarity = 1e-3 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
@@ -116,7 +116,7 @@ def test_plane_coordinates_may_be_any():
 
 
 def warped(finger, warp):
-    """The finger line as an image shows it after a homography, its covariance to first order."""
+    """The finger line after a homography of the image, with its covariance to first order."""
 
     def line_of(perturbation):
         normal = np.array([-np.sin(finger.angle_rad), np.cos(finger.angle_rad)])
@@ -187,7 +187,7 @@ def test_the_result_is_invariant_to_homographies_of_the_images(azimuths):
         compared += 1
 
 
-def test_the_covariance_covers_over_random_poses():
+def test_the_covariance_covers_the_errors_over_random_poses():
     rng = np.random.default_rng(53)
     cameras = stereo()
     inside = []
@@ -213,7 +213,7 @@ def test_the_bias_allowance_is_added_at_the_anchor():
 
 
 @pytest.mark.parametrize(("half_width_px", "wider"), [(0.0, 1.0), (6.0, 1.0), (20.0, 2.5)])
-def test_a_finger_that_is_wider_in_the_image_misses_its_axis_by_more_pixels(half_width_px, wider):
+def test_the_offset_allowance_grows_with_the_finger_s_width(half_width_px, wider):
     cameras, pointing = stereo(), rod([120, 260], 20.0, 45.0, 150.0)
     allowances = {"bias_offset_px": 0.1, "bias_angle_rad": 0.004}
     allowed = fix_of(cameras, pointing, FINE, half_width_px=half_width_px, **allowances)
@@ -234,7 +234,7 @@ def test_constraint_lines_and_their_bands_are_kept_for_drawing():
     assert np.cos(fix.crossing_angle_rad) == pytest.approx(abs(first @ second))
 
 
-def test_the_same_input_gives_the_same_bits_and_stays_as_it_was():
+def test_the_same_input_gives_the_same_bits_and_is_not_modified():
     cameras, pointing = stereo(), rod([120, 260], 20.0, 45.0, 150.0)
     fingers = [finger_line(view, pointing, FINE) for view in cameras]
     before = [(f.anchor_px.copy(), f.covariance.copy(), f.tip_px.copy()) for f in fingers]
@@ -248,7 +248,7 @@ def test_the_same_input_gives_the_same_bits_and_stays_as_it_was():
         assert np.array_equal(finger.tip_px, tip)
 
 
-# --- knowing when not to answer ----------------------------------------------------------------
+# --- refusals ---------------------------------------------------------------------------------
 
 
 def assert_refused(fix, words):
@@ -265,8 +265,8 @@ def largest_sigma(covariance):
     return np.sqrt(np.linalg.eigvalsh(covariance)[-1])
 
 
-def test_pointing_away_is_flagged_or_covered():
-    """At 2 % no error of 5 % is believed; a looser limit leaves 1 in 1,000 to the normal tails."""
+def test_fixes_of_rods_pointing_away_are_refused_or_covered():
+    """With a limit of 2 %, errors above 5 % are refused, or covered by the 99 % ellipse."""
     rng = np.random.default_rng(54)
     cameras = stereo()
     views = [plane_view(view, REFERENCES) for view in cameras]
@@ -285,8 +285,8 @@ def test_pointing_away_is_flagged_or_covered():
     assert far < 5
 
 
-def test_a_large_ellipse_is_as_honest_as_a_small_one():
-    """What is told by default of rods that point away, of lines a third of a degree off."""
+def test_large_ellipses_cover_as_often_as_small_ones():
+    """Fixes with default options of rods that point away, seen by lines with σ of 0.3°."""
     rng = np.random.default_rng(57)
     cameras = stereo()
     views = [plane_view(view, REFERENCES) for view in cameras]
@@ -300,7 +300,7 @@ def test_a_large_ellipse_is_as_honest_as_a_small_one():
                 [not fix.ellipse(share).contains(pointing.target) for share in (0.95, 0.99)]
             )
             sigmas.append(largest_sigma(fix.covariance) / SIDE)
-    # Most of them, up to where the 95 % ellipse is as long as the plane.
+    # Most are accepted, up to a 95 % ellipse as long as the plane.
     assert len(sigmas) > 1000
     assert 0.12 < max(sigmas) <= DEFAULT_OPTIONS.max_sigma
     assert np.sqrt(-2.0 * np.log(0.05)) * DEFAULT_OPTIONS.max_sigma == pytest.approx(0.5, rel=0.03)
@@ -312,8 +312,8 @@ def test_a_large_ellipse_is_as_honest_as_a_small_one():
     assert np.mean(np.array(outside)[large, 1]) < 0.03
 
 
-def test_a_point_is_as_unsure_as_the_lines_are_where_its_ellipse_ends():
-    """First order where lines are sure; an end that is excluded less makes it longer."""
+def test_the_covariance_accounts_for_the_lines_at_the_ends_of_the_ellipse():
+    """First order for certain lines; for uncertain ones the covariance grows to cover the ends."""
     rng = np.random.default_rng(58)
     cameras = stereo()
     views = [plane_view(view, REFERENCES) for view in cameras]
@@ -348,7 +348,7 @@ def coplanar_rod(rng, cameras):
 @pytest.mark.parametrize(
     "covariance", [FINE, COARSE, 16 * COARSE], ids=["fine", "coarse", "a degree off"]
 )
-def test_a_finger_coplanar_with_the_cameras_is_never_believed(covariance):
+def test_a_finger_coplanar_with_the_cameras_is_always_refused(covariance):
     rng = np.random.default_rng(55)
     cameras = stereo()
     views = [plane_view(view, REFERENCES) for view in cameras]
@@ -389,9 +389,9 @@ def test_a_finger_parallel_to_the_plane_is_refused(slant):
     assert largest_sigma(fix.covariance) > DEFAULT_OPTIONS.max_sigma * SIDE
 
 
-def test_the_horizon_is_no_finger_line():
+def test_the_horizon_as_a_finger_line_is_refused():
     fingers = [finger_line(view, rod([120, 260], 20.0, 45.0, 150.0)) for view in stereo()]
-    # v = Y / (1 + Y/4): however far the plane reaches, it stays below the image line v = 4.
+    # v = Y / (1 + Y/4): the plane's image stays below the line v = 4 for any Y.
     T = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0.25, 1]])
     level = PlaneView(CORNERS, T, np.zeros((9, 9)), None)
     horizon = FingerLine([0.0, 4.0], 0.0, FINE, [5.0, 4.0], 0.0)
@@ -410,7 +410,7 @@ def pointing_up():
 def test_a_target_behind_the_finger_tip_is_refused():
     fix = fix_of(stereo(), pointing_up(), FINE, REFERENCES)
     assert_refused(fix, "behind the finger tip in view")
-    # The covariance is fine here: it is the direction that is wrong.
+    # The covariance is small; only the direction is wrong.
     assert largest_sigma(fix.covariance) < 0.01 * SIDE
 
 
@@ -424,8 +424,8 @@ def test_a_target_behind_the_finger_tip_is_refused():
         (35.0, 16.0, False),
     ],
 )
-def test_a_finger_that_touches_the_plane_points_at_its_tip(short_px, half_width_px, accepted):
-    """The target may seem to lie behind the tip by 4 × 4 px; so much more if that is larger."""
+def test_a_touching_finger_may_reach_beyond_its_target(short_px, half_width_px, accepted):
+    """The target may lie 4 σ of 4 px behind the tip; σ grows with half widths above 8 px."""
     cameras, touching = stereo(), rod([120, 260], 20.0, 45.0, 1e-9)
     fingers = [finger_line(view, touching, FINE) for view in cameras]
     fingers = [
@@ -442,7 +442,7 @@ def test_a_finger_that_touches_the_plane_points_at_its_tip(short_px, half_width_
 
 
 def test_a_point_behind_a_camera_is_refused():
-    """The lines meet well on the plane, but one view could never see the point."""
+    """The lines intersect well on the plane, but one view cannot see the point."""
     cameras = [camera(-15.0), camera(80.0)]
     views = [plane_view(view) for view in cameras]
     behind = cameras[0].position[:2] * 2.5 - CORNERS.mean(axis=0) * 1.5
@@ -460,7 +460,7 @@ def test_a_point_behind_a_camera_is_refused():
 
 
 def test_a_finger_seen_end_on_is_refused_by_its_own_covariance():
-    """End-on, little length is left to measure the angle by, and the covariance says so."""
+    """End-on, the visible length is too short to measure the angle; the covariance shows it."""
     cameras, pointing = stereo(), rod([120, 260], 20.0, 45.0, 150.0)
     views = [plane_view(view, REFERENCES) for view in cameras]
     short = np.diag([0.1**2, np.radians(8.0) ** 2])
@@ -489,8 +489,8 @@ def test_views_that_contradict_each_other_are_refused():
 
 
 @pytest.mark.parametrize("freedom", [1, 2, 4])
-def test_true_covariances_hardly_ever_contradict(freedom):
-    """4 σ is one in 30,000; 1,500 noisy fixes stay below it, and a 2 σ gate refuses a few."""
+def test_correct_covariances_rarely_contradict(freedom):
+    """4 σ is exceeded once in 30,000; of 1,500 noisy fixes a 2 σ gate refuses a few."""
     rng = np.random.default_rng(57)
     cameras = [camera(a) for a in np.linspace(-30, 30, freedom + 2)]
     views = [plane_view(view) for view in cameras]
@@ -549,7 +549,7 @@ def test_two_finger_lines_make_a_fix_and_fewer_report_the_worst_view(entries, st
         assert np.allclose(fix.point, pointing.target, atol=1e-6)
 
 
-def test_reasons_call_views_by_their_names_and_say_why_they_have_no_line():
+def test_reasons_name_views_and_why_they_have_no_line():
     cameras, pointing = [camera(a) for a in (-15, 15, 40)], rod([120, 260], 20.0, 45.0, 150.0)
     views = [plane_view(view, REFERENCES) for view in cameras]
     fingers = [finger_line(cameras[0], pointing, FINE), Status.LOST, Status.ACQUIRING]
@@ -570,8 +570,8 @@ def moving_finger(view, velocity_mm_s, time_s, covariance=FINE, turn_rad_s=0.0):
     return finger_line(view, moved, covariance, time_s)
 
 
-def test_alignment_undoes_the_skew_between_the_views():
-    """20 ms at 0.5 m/s cost 17 mm; interpolated, what is left is the hand's curved image path."""
+def test_alignment_compensates_the_skew_between_views():
+    """20 ms at 0.5 m/s cost 17 mm; interpolation leaves the curvature of the image path."""
     cameras, velocity, time_s = stereo(), (350.0, 350.0), 0.050
     views = [plane_view(view, REFERENCES) for view in cameras]
     target = np.array([120, 260]) + np.array(velocity) * time_s
@@ -588,7 +588,7 @@ def test_alignment_undoes_the_skew_between_the_views():
 
 
 def circling_finger(view, time_s):
-    """A finger that goes round a circle of 80 mm at 0.5 m/s, keeping its direction."""
+    """A finger of constant direction on a circle of radius 80 mm at 0.5 m/s, and its target."""
     pointing, angle = rod([120, 260], 20.0, 45.0, 150.0), 0.5 / 0.08 * time_s
     shift = 80.0 * np.array([np.cos(angle), np.sin(angle), 0.0])
     moved = dataclasses.replace(pointing, tip=pointing.tip + shift, base=pointing.base + shift)
@@ -596,8 +596,8 @@ def circling_finger(view, time_s):
 
 
 @pytest.mark.parametrize("skew_s", [0.004, 0.0167, 0.029])
-def test_a_curved_motion_costs_less_than_a_millimetre_where_frames_are_half_a_period_apart(skew_s):
-    """Mean over the circle: a chord's sagitta would cost 1.3 mm half way between two frames."""
+def test_a_curved_motion_is_interpolated_to_less_than_a_millimetre(skew_s):
+    """Mean over the circle: linear interpolation would err by 1.3 mm half way between frames."""
     cameras, errors = stereo(), []
     views = [plane_view(view, REFERENCES) for view in cameras]
     for time_s in np.linspace(0.0, 1.0, 16):
@@ -617,7 +617,7 @@ def test_interpolation_is_linear_in_anchor_and_angle_and_carries_the_tip():
     assert line.half_width_px == pytest.approx(11.0)
     assert line.stretch_px == pytest.approx((-29.0, 31.0))
     assert line.angle_rad == pytest.approx(0.3)
-    # Linear motion of the tip itself differs by the second order of the turn alone.
+    # A linear motion of the tip itself differs only to second order in the turn.
     assert np.allclose(line.tip_px, [143.75, 111.25], atol=1.0)
     assert np.hypot(*(line.tip_px - line.anchor_px)) == pytest.approx(
         0.75 * np.hypot(40, 10) + 0.25 * np.hypot(35, 25), rel=0.01
@@ -639,7 +639,7 @@ def test_interpolation_with_an_earlier_line_reproduces_a_parabola():
 @pytest.mark.parametrize(
     ("earlier_s", "is_used"), [(0.0, True), (0.025, False), (-0.08, False), (None, False)]
 )
-def test_an_earlier_line_too_near_or_too_far_is_not_used(earlier_s, is_used):
+def test_an_earlier_line_too_close_or_too_old_is_not_used(earlier_s, is_used):
     pair = [
         FingerLine([0, 0], 0.0, FINE, [30, 0], 0.03),
         FingerLine([6, 0], 0, FINE, [36, 0], 0.06),
@@ -662,7 +662,7 @@ def test_angles_are_interpolated_the_shorter_way_round(first, second):
     assert np.cos(halfway) == pytest.approx(-1.0)
 
 
-def test_a_line_of_the_wanted_time_is_taken_as_it_is():
+def test_a_line_of_exactly_the_wanted_time_is_returned_unchanged():
     history = [moving_finger(camera(), (100, 0), t) for t in (0.0, 0.04)]
     assert align(history, 0.04).line is history[1]
     assert align(history, 0.0).line is history[0]
@@ -711,7 +711,7 @@ def history_at(*times):
         ((0.9, 1.06), 1.0, AlignmentState.GAP, "no finger line for 0.16 s"),
     ],
 )
-def test_what_cannot_be_aligned_says_so(times, time_s, state, words):
+def test_failed_alignment_states_the_reason(times, time_s, state, words):
     aligned = align(history_at(*times), time_s)
     assert aligned.state is state
     assert aligned.line is None
@@ -757,7 +757,7 @@ def webcam_finger(view, lens, pointing):
     return FingerLine(anchor, angle, FINE, samples[-1], 0.0, half_width_px=9.0)
 
 
-def test_taking_out_a_lens_keeps_what_else_is_known_of_a_finger():
+def test_undistortion_keeps_the_other_fields_of_a_finger_line():
     view = camera(15.0, distance_mm=750.0, focal_px=622.0)
     finger = webcam_finger(view, BARREL, rod([120, 260], 20.0, 45.0, 150.0))
     seen = webcam_view(view, BARREL, None, BARREL).through_pinhole(finger)
@@ -766,25 +766,25 @@ def test_taking_out_a_lens_keeps_what_else_is_known_of_a_finger():
     assert abs(seen.angle_rad - finger.angle_rad) > 1e-4
 
 
-def test_a_lens_is_taken_out_over_the_stretch_that_a_line_is_told_for():
+def test_a_line_is_undistorted_over_its_own_stretch():
     view = camera(15.0, distance_mm=750.0, focal_px=622.0)
     finger = webcam_finger(view, BARREL, rod([120, 260], 20.0, 45.0, 150.0))
     through = webcam_view(view, BARREL, None, BARREL).through_pinhole
-    # Told 10 px farther back, it is the same line of the same stretch.
+    # Anchored 10 px farther back, it is the same line over the same stretch.
     back = finger.anchor_px - 10.0 * np.array([np.cos(finger.angle_rad), np.sin(finger.angle_rad)])
     half_px = finger.half_length_px
     farther_back = dataclasses.replace(
         finger, anchor_px=back, stretch_px=(10.0 - half_px, 10.0 + half_px)
     )
-    told, same = through(finger), through(farther_back)
-    assert same.angle_rad == pytest.approx(told.angle_rad, abs=1e-12)
-    assert np.allclose(same.anchor_px, told.anchor_px, atol=1e-9)
-    # Without its stretch it would be taken for a line that cuts the bend elsewhere.
+    expected, same = through(finger), through(farther_back)
+    assert same.angle_rad == pytest.approx(expected.angle_rad, abs=1e-12)
+    assert np.allclose(same.anchor_px, expected.anchor_px, atol=1e-9)
+    # Without its stretch, another part of the distorted curve would be undistorted.
     astray = through(dataclasses.replace(farther_back, stretch_px=(0.0, 0.0)))
-    assert abs(astray.angle_rad - told.angle_rad) > 1e-4
+    assert abs(astray.angle_rad - expected.angle_rad) > 1e-4
 
 
-def test_a_known_lens_is_taken_out_of_references_and_finger_lines():
+def test_a_known_lens_is_corrected_in_references_and_finger_lines():
     rng = np.random.default_rng(59)
     cameras = [camera(a, distance_mm=750.0, focal_px=622.0) for a in (-15.0, 15.0)]
     corrected = [webcam_view(view, BARREL, None, BARREL) for view in cameras]
@@ -805,7 +805,7 @@ def test_a_known_lens_is_taken_out_of_references_and_finger_lines():
     assert rms[1] >= 2.0
 
 
-def test_the_lens_turns_reference_covariances_with_the_points():
+def test_undistortion_transforms_reference_covariances():
     view = webcam_view(camera(focal_px=622.0, distance_mm=750.0), BARREL, REFERENCES, BARREL)
     shown = BARREL.distort(transfer_to_image(view.image_from_plane, CORNERS))
     turned = []
@@ -817,7 +817,7 @@ def test_the_lens_turns_reference_covariances_with_the_points():
 
 
 @pytest.mark.parametrize("lens", [None, BARREL], ids=["pinhole", "lens"])
-def test_points_go_to_the_image_and_back(lens):
+def test_projection_and_back_projection_are_inverse(lens):
     image = references_of(camera())
     shown = image if lens is None else lens.distort(image)
     view = PlaneView.from_reference_points(CORNERS, shown, REFERENCES, lens)
@@ -890,7 +890,7 @@ def test_bad_finger_lines_are_refused(values, words):
         FingerLine(**GOOD | values)
 
 
-def test_a_finger_line_takes_lists_and_keeps_arrays():
+def test_a_finger_line_accepts_lists_and_stores_arrays():
     finger = FingerLine(**GOOD)
     assert finger.anchor_px.dtype == np.float64
     assert finger.half_length_px == pytest.approx(30 * np.cos(0.5) + 15 * np.sin(0.5))
@@ -966,7 +966,7 @@ pixels = st.floats(-1e3, 2e3)
 )
 @example([(0, 1061, 0.0625, 1, -3), (0, 0, 0, 1, 0), (0, 1104, 0, 1, -2)], False)
 def test_any_finger_lines_give_a_fix_or_a_reason(entries, bent):
-    """Nonsense may come from a tracker: no exception, no warning, and no NaN for a point."""
+    """Any tracker output, however absurd: no exception, no warning, no NaN as a point."""
     lens = Lens(1692.0, 1692.0, 319.5, 239.5, -0.3)
     fingers = [
         FingerLine(

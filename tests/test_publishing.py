@@ -1,4 +1,4 @@
-"""Fixes reach programs that are not ours, as these understand them, and never hold up the loop."""
+"""Fixes reach other programs in formats that these decode, and never block the loop."""
 
 import json
 import logging
@@ -50,7 +50,7 @@ LINUX = sys.platform.startswith("linux")
 
 
 def fix(frame: int, point: tuple[float, float] | None = (100.0, 150.0)) -> PublishedFix:
-    """A fix 40 ms after the one before."""
+    """A fix; frames are 40 ms apart."""
     cells = {}
     if point is not None:
         (xx, xy), (_, yy) = COVARIANCE.tolist()
@@ -73,7 +73,7 @@ def free_port(kind: int = socket.SOCK_STREAM) -> int:
 
 
 def listening(process: int | str = "self") -> set[str]:
-    """Addresses, as the kernel writes them, at which a process listens, or has a UDP socket."""
+    """Addresses, in the kernel's notation, of a process's listening TCP and all UDP sockets."""
     links = Path(f"/proc/{process}/fd").iterdir()
     mine = {str(link.readlink()) for link in links if link.is_symlink()}
     found = set()
@@ -89,7 +89,7 @@ def listening(process: int | str = "self") -> set[str]:
 
 
 class OscServer:
-    """python-osc's server, and what it has received."""
+    """python-osc's server, which records received messages."""
 
     def __init__(self) -> None:
         self.received: list[tuple[str, tuple]] = []
@@ -134,7 +134,7 @@ def test_osc_is_understood_by_an_osc_server():
 
 
 def frames_of(received: list[tuple[str, tuple]]) -> list[dict]:
-    """Bundles of TUIO 1.1: a frame ends with `fseq`; `set` speaks of cursors that are alive."""
+    """Frames of TUIO 1.1: each ends with `fseq`; `set` may only refer to cursors in `alive`."""
     frames, frame = [], {"set": {}}
     for path, (word, *values) in received:
         assert path == "/tuio/2Dcur"
@@ -151,8 +151,8 @@ def frames_of(received: list[tuple[str, tuple]]) -> list[dict]:
     return frames
 
 
-def test_tuio_has_a_cursor_while_the_hand_points_onto_the_plane():
-    # Half a side in 40 ms to the right and a quarter up, away, and back at the lower left.
+def test_tuio_has_a_cursor_while_the_point_is_on_the_plane():
+    # By half a side to the right and a quarter up in 40 ms; lost; back at the lower left; outside.
     places = [(100.0, 200.0), (300.0, 250.0), None, (0.0, 100.0), (-1.0, 100.0)]
     with OscServer() as server:
         with open_publisher(f"tuio://127.0.0.1:{server.port}", PLANE, waits=True) as one:
@@ -173,19 +173,19 @@ def test_tuio_has_a_cursor_while_the_hand_points_onto_the_plane():
     ("options", "place"),
     [("turn=90", (0.25, 0.25)), ("turn=180", (0.75, 0.25)), ("mirror", (0.75, 0.75))],
 )
-def test_tuio_lies_as_the_table_does(options, place):
+def test_tuio_can_be_rotated_and_mirrored(options, place):
     with OscServer() as server:
         url = f"tuio://127.0.0.1:{server.port}?{options}"
         with open_publisher(url, PLANE, waits=True) as one:
             one.put(fix(0, (100.0, 150.0)))
-        # The cursor is taken away in the end.
+        # Closing removes the cursor.
         wait_until(lambda: ("/tuio/2Dcur", ("fseq", 2)) in server.received)
     first, last = frames_of(server.received)
     assert first["set"][1][:2] == pytest.approx(place)
     assert last["alive"] == []
 
 
-def test_a_receiver_that_is_not_there_is_one_line(caplog):
+def test_a_missing_receiver_is_reported_in_one_line(caplog):
     port = free_port(socket.SOCK_DGRAM)
     with open_publisher(f"osc://127.0.0.1:{port}", PLANE, waits=True) as one:
         for k in range(200):
@@ -219,7 +219,7 @@ def test_a_websocket_client_gets_every_fix_as_json():
     assert late == received[-1]
 
 
-def test_a_websocket_client_that_reads_nothing_costs_nobody_anything():
+def test_a_websocket_client_that_reads_nothing_does_not_affect_others():
     long = msgspec.structs.replace(fix(0), reason="x" * 10_000)
     with open_publisher("ws://127.0.0.1:0", PLANE, waits=True) as one:
         port = one._transport.port
@@ -244,7 +244,7 @@ def test_a_websocket_client_that_reads_nothing_costs_nobody_anything():
 
 
 class Hub:
-    """A session of eclipse-zenoh that listens, and what it has received."""
+    """A listening session of eclipse-zenoh, which records received samples."""
 
     def __init__(self, *keys: str) -> None:
         self.port = free_port()
@@ -265,7 +265,7 @@ class Hub:
 
 
 def repeated(one: Publisher, what: PublishedFix, arrived) -> None:
-    """Publish until it has arrived: what is sent while a link comes to be is lost."""
+    """Publish repeatedly until received: samples sent before a link is up are lost."""
 
     def put() -> bool:
         one.put(what)
@@ -287,13 +287,13 @@ def test_a_zenoh_subscriber_gets_fixes_as_json():
 
 
 @pytest.mark.skipif(not LINUX, reason="needs /proc")
-def test_zenoh_listens_where_it_was_asked_to_and_nowhere_else():
+def test_zenoh_listens_only_at_the_given_address():
     port, before = free_port(), listening()
     with open_publisher(f"zenoh://127.0.0.1:{port}?role=listen", PLANE, waits=True):
         assert listening() - before == {f"0100007F:{port:04X}"}
 
 
-def test_zenoh_without_a_peer_is_one_line_and_goes_on_when_it_comes(caplog):
+def test_zenoh_without_a_peer_is_one_line_and_publishes_once_it_connects(caplog):
     with Hub() as hub:
         port = hub.port
     with open_publisher(f"zenoh://127.0.0.1:{port}", PLANE, waits=True) as one:
@@ -367,7 +367,7 @@ def test_ros_gets_points_poses_and_ellipses_that_rosbags_decodes():
     assert any(f"/%lab%point/{names['point']}/RIHS01_" in str(one.key_expr) for one in tokens)
 
 
-def test_ros_has_metres():
+def test_ros_needs_a_unit_of_known_length():
     with pytest.raises(InvalidInputError, match='unit is "cubit", of no known length'):
         open_publisher("zenoh+ros2://", Extent((0, 0), (1, 1), "cubit"), waits=True)
 
@@ -387,7 +387,7 @@ def invoked(*arguments: object) -> Result:
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
-def test_a_run_publishes_what_its_table_says(rig_file, tmp_path):
+def test_a_run_publishes_the_values_of_its_table(rig_file, tmp_path):
     points = tmp_path / "p.csv"
     with OscServer() as server, Hub("fingerpost/**") as hub:
         zenoh_url = f"zenoh://127.0.0.1:{hub.port}?pictures"
@@ -416,7 +416,7 @@ def test_a_run_publishes_what_its_table_says(rig_file, tmp_path):
     assert image.payload.to_bytes() in files
 
 
-def test_a_reader_that_leaves_costs_a_line_and_no_fix(rig_file, tmp_path):
+def test_a_reader_that_disconnects_is_one_line_and_loses_no_row(rig_file, tmp_path):
     command = [sys.executable, "-m", "fingerpost", "run", str(rig_file), "--publish", "ndjson:"]
     points = tmp_path / "p.csv"
     running = subprocess.Popen(
@@ -452,14 +452,14 @@ def test_a_reader_that_leaves_costs_a_line_and_no_fix(rig_file, tmp_path):
         ("zenoh+ros2://127.0.0.1?domain=-1", "domain is '-1'; 0 to 232 is right"),
     ],
 )
-def test_an_address_that_is_none_is_one_line(rig_file, url, said):
+def test_an_invalid_address_is_refused_in_one_line(rig_file, url, said):
     done = invoked("run", rig_file, "--publish", url)
     assert (done.exit_code, done.stdout) == (2, ""), done.output
     (line,) = done.stderr.splitlines()
     assert said in line
 
 
-def test_every_scheme_is_on_its_page():
+def test_every_scheme_is_documented():
     for scheme in SCHEMES:
         assert f"`{scheme}:" in PAGE
         refuse_unknown(f"{scheme}:")
@@ -469,7 +469,7 @@ def test_every_scheme_is_on_its_page():
 
 
 def snippet(word: str, language: str = "python") -> str:
-    """The one snippet of the page with a word."""
+    """The only snippet of the page that contains a word."""
     found = re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
     (text,) = [text for text in found if word in text]
     return text
@@ -530,11 +530,11 @@ def test_the_page_of_a_browser_shows_fixes(tmp_path):
             thread.join()
 
 
-# --- nothing waits ----------------------------------------------------------------------------
+# --- no blocking ------------------------------------------------------------------------------
 
 
 class Stuck:
-    """A receiver that takes nothing until it is let go."""
+    """A receiver that blocks until it is released."""
 
     wants_pictures = False
 
@@ -550,7 +550,7 @@ class Stuck:
         pass
 
 
-def test_live_fixes_never_wait_and_the_newest_win():
+def test_live_fixes_never_block_and_the_newest_are_kept():
     stuck = Stuck()
     with Publisher("stuck:", stuck, waits=False) as one:
         for k in range(1000):
@@ -561,7 +561,7 @@ def test_live_fixes_never_wait_and_the_newest_win():
     assert one.notes() == [f"stuck:: {dropped} of 1000 fixes were dropped: it was too slow"]
 
 
-def test_a_receiver_that_takes_nothing_is_left_in_the_end(caplog, monkeypatch):
+def test_a_blocked_receiver_is_abandoned_on_closing(caplog, monkeypatch):
     monkeypatch.setattr("fingerpost.publishing.publisher._CLOSING_S", 0.01)
     left = []
     monkeypatch.setattr("fingerpost.publishing.publisher.leave_behind", left.append)
@@ -578,7 +578,7 @@ def test_a_receiver_that_takes_nothing_is_left_in_the_end(caplog, monkeypatch):
 # --- the pace of recordings -------------------------------------------------------------------
 
 
-def test_recordings_play_at_the_speed_that_is_asked_for():
+def test_recordings_play_at_the_given_speed():
     slept: list[float] = []
     now_s = [50.0]
 
@@ -593,13 +593,13 @@ def test_recordings_play_at_the_speed_that_is_asked_for():
         seen.append(together)
         now_s[0] += 0.2 if len(seen) == 2 else 0.01  # once the caller is slow
     assert seen == film
-    # 0.05 s apart, less the caller's work; what comes after the slow one is due later.
+    # 0.05 s apart, less the caller's work; a slow frame delays those after it.
     assert slept == pytest.approx([0.04, 0.04])
     with pytest.raises(InvalidInputError, match="speed"):
         next(at_speed(iter(film), 0.0))
 
 
-def test_the_page_publishes_beside():
+def test_the_page_publishes_as_well():
     with OscServer() as server:
         address = f"osc://127.0.0.1:{server.port}"
         with served(RIG, "--publish", address) as page:

@@ -1,4 +1,4 @@
-"""Images that a program pushes into a pointer, and rigs that it builds without a file."""
+"""Images pushed into a pointer by a program, and rigs built without a file."""
 
 import importlib.metadata
 from collections.abc import Iterator
@@ -24,20 +24,20 @@ from fingerpost.simulated_rig_file import rig_from_simulation
 FPS = 30.0
 FRAMES = 14
 SEED = 7
-# As in tests/test_pipeline.py: noise, and a taper that is no cylinder's.
+# As in tests/test_pipeline.py, with noise and a tapered rod.
 ACCURACY_MM = 3.0
 SKEW_S = 0.5 / FPS
 
 
 @pytest.fixture(scope="module")
 def desk() -> tuple[fp.Rig, list[tuple[fp.Frame, ...]]]:
-    """The rig of the built-in clip, and its first frames, in colour."""
+    """The rig of the built-in clip, and its first frames in colour."""
     rig = fp.Rig.load(files("fingerpost") / "data/desk/rig.toml")
     return rig, [frames for _, frames in fp.track(rig, frames=True, max_frames=16)]
 
 
 def path() -> Trajectory:
-    """A rod that waits, then wanders over the middle of the plane at 0.2 m/s."""
+    """A rod that rests, then moves above the middle of the plane at 0.2 m/s."""
     first, last = (
         DevicePose.pointing_at(target, azimuth_deg=25.0, slant_deg=50.0, hover_mm=120.0)
         for target in ((160.0, 180.0), (230.0, 220.0))
@@ -46,7 +46,7 @@ def path() -> Trajectory:
 
 
 def rig_of(simulated: SimulatedRig) -> fp.Rig:
-    """What a program would build by hand that knows where the hand waits."""
+    """The rig as a program builds it that knows the hand's start pose."""
     truth = simulated.truth(path(), time_s=0.0)
     starts = [view.finger.start() for view in truth.views]
     return rig_from_simulation(simulated, starts=starts)
@@ -59,13 +59,13 @@ def simulated() -> SimulatedRig:
 
 @pytest.fixture(scope="module")
 def shots(simulated: SimulatedRig) -> list[tuple[np.ndarray, ...]]:
-    """What both cameras show, frame by frame; the second is half a frame late."""
+    """Images of both cameras, frame by frame; the second is half a frame late."""
     rng = np.random.default_rng(SEED)
     return [simulated.render(path(), time_s=k / FPS, rng=rng).images for k in range(FRAMES)]
 
 
 def pushed_in_turn(pointer: fp.Pointer, shots: list[tuple[np.ndarray, ...]]) -> Iterator[fp.Fix]:
-    """One view's image at a time, each when it was taken; the last fixes come in the end."""
+    """Push one view's image at a time, at its time; the last fixes come from `finish`."""
     names = [view.name for view in pointer.views]
     for k, images in enumerate(shots):
         for name, image, skew_s in zip(names, images, (0.0, SKEW_S), strict=True):
@@ -91,7 +91,7 @@ def rms_mm(simulated: SimulatedRig, fixes: list[fp.Fix]) -> float:
     return float(np.sqrt(np.mean(np.sum(np.square(errors), axis=1))))
 
 
-def test_images_pushed_together_give_what_frames_give(simulated, shots):
+def test_images_pushed_together_give_the_fixes_of_frames(simulated, shots):
     pushed, updated = fp.Pointer(rig_of(simulated)), fp.Pointer(rig_of(simulated))
     by_push, by_update = [], []
     for k, images in enumerate(shots):
@@ -103,16 +103,16 @@ def test_images_pushed_together_give_what_frames_give(simulated, shots):
     assert by_push[-1].status is fp.Status.OK
 
 
-def test_images_pushed_in_turn_are_brought_to_one_time(simulated, shots):
+def test_images_pushed_in_turn_are_interpolated_to_one_time(simulated, shots):
     fixes = list(pushed_in_turn(fp.Pointer(rig_of(simulated)), shots))
     assert [fix.time_s for fix in fixes] == [k / FPS for k in range(FRAMES)]
-    # No frame of the second view is as early as the first one's first.
+    # The second view has no frame as early as the first view's first one.
     assert fixes[0].status is fp.Status.ACQUIRING
     assert fixes[-1].status is fp.Status.OK
     assert rms_mm(simulated, fixes) < ACCURACY_MM
 
 
-def test_views_pushed_in_turn_find_a_hand_that_no_template_waits_for(desk):
+def test_views_pushed_in_turn_find_a_hand_without_a_start_pose(desk):
     rig, film = desk
     views = [replaced(view, start=None) for view in rig.views]
     pointer, fixes = fp.Pointer(fp.Rig(plane=rig.plane, views=views)), []
@@ -122,27 +122,27 @@ def test_views_pushed_in_turn_find_a_hand_that_no_template_waits_for(desk):
     assert fixes[-1].status is fp.Status.OK
 
 
-def test_a_push_does_its_work_whether_or_not_its_fixes_are_looked_at(simulated, shots):
-    looked, ignored = fp.Pointer(rig_of(simulated)), fp.Pointer(rig_of(simulated))
+def test_a_push_tracks_whether_or_not_its_fixes_are_read(simulated, shots):
+    read, ignored = fp.Pointer(rig_of(simulated)), fp.Pointer(rig_of(simulated))
     for k, images in enumerate(shots[:-1]):
-        list(looked.push(images, time_s=k / FPS))
+        list(read.push(images, time_s=k / FPS))
         ignored.push(images, time_s=k / FPS)
-    last = [p.push(shots[-1], time_s=FRAMES / FPS) for p in (looked, ignored)]
+    last = [p.push(shots[-1], time_s=FRAMES / FPS) for p in (read, ignored)]
     assert all(isinstance(fixes, list) for fixes in last)
     assert bits(last[0]) == bits(last[1])
     assert last[1][0].status is fp.Status.OK
 
 
-def test_colours_are_pushed_as_they_are(simulated, shots):
+def test_colour_images_with_equal_channels_give_the_fixes_of_grey_ones(simulated, shots):
     grey, coloured = fp.Pointer(rig_of(simulated)), fp.Pointer(rig_of(simulated))
     for k, images in enumerate(shots):
-        told = grey.push(images, time_s=k / FPS)
-        # Three equal channels are what a monochrome camera's driver hands over.
+        expected = grey.push(images, time_s=k / FPS)
+        # A driver of a monochrome camera may return three equal channels.
         same = coloured.push([cv2.cvtColor(i, cv2.COLOR_GRAY2BGR) for i in images], time_s=k / FPS)
-    assert bits(told) == bits(same)
+    assert bits(expected) == bits(same)
 
 
-def test_whoever_pushes_may_go_on_to_write_to_his_image(simulated, shots):
+def test_a_pushed_image_may_be_overwritten_by_its_owner(simulated, shots):
     kept, reused = fp.Pointer(rig_of(simulated)), fp.Pointer(rig_of(simulated))
     names, fixes = [view.name for view in simulated.cameras], ([], [])
     buffer = np.empty_like(shots[0][0])
@@ -155,17 +155,17 @@ def test_whoever_pushes_may_go_on_to_write_to_his_image(simulated, shots):
     assert bits(fixes[0]) == bits(fixes[1])
 
 
-def test_a_view_whose_next_image_comes_first_waits_for_no_other(simulated, shots):
+def test_a_view_waits_for_another_for_at_most_the_limit(simulated, shots):
     pointer = fp.Pointer(rig_of(simulated))
     names = [view.name for view in pointer.views]
     for k, images in enumerate(shots):
         pointer.push(images, time_s=k / FPS)
     later = [FRAMES / FPS, (FRAMES + 1) / FPS, (FRAMES + 9) / FPS]
-    told = [pointer.push({names[0]: shots[-1][0]}, time_s=time_s) for time_s in later]
-    assert [len(fixes) for fixes in told] == [0, 0, 0]
-    told = pointer.push({names[0]: shots[-1][0]}, time_s=later[-1] + 1 / FPS)
-    assert [fix.status for fix in told] == [fp.Status.LOST] * 2
-    assert "at most 0.1 s are waited for" in told[0].reason
+    pushed = [pointer.push({names[0]: shots[-1][0]}, time_s=time_s) for time_s in later]
+    assert [len(fixes) for fixes in pushed] == [0, 0, 0]
+    overdue = pointer.push({names[0]: shots[-1][0]}, time_s=later[-1] + 1 / FPS)
+    assert [fix.status for fix in overdue] == [fp.Status.LOST] * 2
+    assert "at most 0.1 s are waited for" in overdue[0].reason
 
 
 def test_offsets_are_added_to_the_times_that_are_pushed(simulated, shots):
@@ -198,7 +198,7 @@ GREY = np.zeros((480, 640), np.uint8)
         ({"right": GREY}, np.nan, 'view "right": time_s of frame 0 is nan'),
     ],
 )
-def test_what_cannot_be_pushed_is_refused_by_the_push_itself(simulated, images, time_s, words):
+def test_invalid_images_are_refused_by_push_itself(simulated, images, time_s, words):
     pointer = fp.Pointer(rig_of(simulated))
     with pytest.raises(InvalidInputError) as raised:
         pointer.push(images, time_s=time_s)
@@ -206,7 +206,7 @@ def test_what_cannot_be_pushed_is_refused_by_the_push_itself(simulated, images, 
     assert pointer.push([GREY + 70, GREY + 71], time_s=0.0)[0].status is fp.Status.ACQUIRING
 
 
-def test_frames_come_with_the_fixes_that_they_gave(tmp_path, simulated):
+def test_track_returns_frames_with_their_fixes(tmp_path, simulated):
     rig_file = write_recording(tmp_path, simulated, path(), frames=4, fps=FPS, rng=SEED)
     rig = fp.Rig.load(rig_file)
     seen = list(fp.track(rig, frames=True))
@@ -224,7 +224,7 @@ T = np.array([[0.9, 0.2, 120.0], [-0.1, 0.7, 110.0], [1e-4, -2e-4, 1.0]])
 SQUARE = [[0, 0], [400, 0], [400, 400], [0, 400]]
 
 
-def test_a_rig_is_built_of_lists_and_arrays_and_survives_being_saved(tmp_path):
+def test_a_rig_built_from_lists_and_arrays_loads_as_it_was_saved(tmp_path):
     plane = fp.Plane(unit="mm", points=np.array(SQUARE))
     left = fp.View(name="left", reference_points_px=[[10, 20], [300, 25], [290, 310], [12, 300]])
     right = fp.View.from_homography("right", T, plane)
@@ -242,7 +242,7 @@ def seen_by(view: fp.View, plane: fp.Plane) -> PlaneView:
 
 @pytest.mark.parametrize("scale", [1.0, -3.0, 1e-6])
 @pytest.mark.parametrize("lens", [None, LensParameters(fx=600, fy=600, cx=320, cy=240, k1=-0.2)])
-def test_a_homography_of_ones_own_is_taken_as_it_is(scale, lens):
+def test_a_given_homography_is_reproduced(scale, lens):
     plane = fp.Plane(unit="mm", points=[*SQUARE, [200, 100]])
     view = fp.View.from_homography("own", scale * T, plane, lens_parameters=lens)
     found = seen_by(view, plane).image_from_plane
@@ -257,13 +257,13 @@ def test_a_homography_of_ones_own_is_taken_as_it_is(scale, lens):
         ([[1, 0, 0], [0, 1, 0], [0, -0.004, 1]], "plane.points[2] on the horizon or beyond"),
     ],
 )
-def test_what_is_no_homography_of_the_plane_is_refused(matrix, words):
+def test_invalid_homographies_are_refused(matrix, words):
     with pytest.raises(InvalidInputError) as raised:
         fp.View.from_homography("own", matrix, fp.Plane(unit="mm", points=SQUARE))
     assert words in str(raised.value)
 
 
-def test_a_homography_that_flattens_the_plane_makes_no_rig():
+def test_a_singular_homography_is_refused_by_the_rig():
     plane = fp.Plane(unit="mm", points=SQUARE)
     flat = fp.View.from_homography("flat", [[1, 0, 0], [0, 0, 50], [0, 0, 1]], plane)
     with pytest.raises(InvalidInputError, match='view "flat"'):
@@ -287,7 +287,7 @@ def test_values_of_another_type_are_refused_by_name(make, words):
     assert str(raised.value).isprintable()
 
 
-def test_a_rig_without_sources_tracks_no_film():
+def test_tracking_a_rig_without_sources_is_refused():
     plane = fp.Plane(unit="mm", points=SQUARE)
     views = [fp.View.from_homography(name, T, plane) for name in ("left", "right")]
     with pytest.raises(InvalidInputError, match='view "left" has no source; needed: a file'):
@@ -303,7 +303,7 @@ def waiting_tracker(rig: fp.Rig) -> fp.ContourTracker:
     return fp.ContourTracker(fp.Template.pistol(start.thumb), pose)
 
 
-def test_a_colour_image_alone_is_followed_as_with_its_grey_levels(desk):
+def test_a_colour_image_alone_is_tracked_as_with_its_grey_levels(desk):
     rig, film = desk
     alone, both = waiting_tracker(rig), waiting_tracker(rig)
     for frame, _ in film:
@@ -316,7 +316,7 @@ def test_a_colour_image_alone_is_followed_as_with_its_grey_levels(desk):
     np.testing.assert_array_equal(a.finger_line.covariance, b.finger_line.covariance)
 
 
-def test_a_grey_image_of_three_channels_is_followed_as_a_grey_one(simulated, shots):
+def test_a_grey_image_of_three_channels_is_tracked_as_a_grey_one(simulated, shots):
     one, three = (waiting_tracker(rig_of(simulated)) for _ in range(2))
     for k, (image, _) in enumerate(shots):
         a = one.update(image, k / FPS)
@@ -325,5 +325,5 @@ def test_a_grey_image_of_three_channels_is_followed_as_a_grey_one(simulated, sho
     np.testing.assert_array_equal(a.shape_vector, b.shape_vector)
 
 
-def test_the_version_is_the_packages():
+def test_the_version_is_the_package_s():
     assert fp.__version__ == importlib.metadata.version("fingerpost")

@@ -1,4 +1,4 @@
-"""Every Python and TOML snippet of the README runs as it stands there."""
+"""Every Python and TOML snippet of the README runs."""
 
 import re
 from pathlib import Path

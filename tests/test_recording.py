@@ -1,4 +1,4 @@
-"""Tables and videos: what was written is there, after a crash too, and reads back the same."""
+"""Tables and videos: contents survive a crash and are read back unchanged."""
 
 import math
 import os
@@ -59,7 +59,7 @@ TRACK = TrackRow(
 # --- tables ----------------------------------------------------------------------------------
 
 
-def test_the_tables_are_the_documented_ones(tmp_path):
+def test_tables_have_the_documented_format(tmp_path):
     with write_points(tmp_path / "p.csv") as points, write_tracks(tmp_path / "t.csv") as tracks:
         points.write(
             PointRow(frame=2, time_s=0.08, status="acquiring", reason='view "a": why, how')
@@ -132,7 +132,7 @@ def track_rows(draw: st.DrawFn) -> TrackRow:
 
 
 @given(points=st.lists(point_rows(), max_size=5), tracks=st.lists(track_rows(), max_size=5))
-def test_whatever_is_written_reads_back_the_same(tmp_path_factory, points, tracks):
+def test_rows_are_read_as_they_were_written(tmp_path_factory, points, tracks):
     folder = tmp_path_factory.mktemp("tables")
     with write_points(folder / "p.csv") as table:
         for point in points:
@@ -144,7 +144,7 @@ def test_whatever_is_written_reads_back_the_same(tmp_path_factory, points, track
     assert read_tracks(folder / "t.csv") == tracks
 
 
-def test_what_a_spreadsheet_or_a_later_version_writes_is_read(tmp_path):
+def test_tables_of_spreadsheets_and_later_versions_are_read(tmp_path):
     path = tmp_path / "p.csv"
     path.write_bytes(
         f"\ufeffnote,{POINTS_HEADER}\r\nhi,3,.12,ok,2015e-1,-3.25,.5,-.1,.25,17.5,\r\n".encode()
@@ -159,7 +159,7 @@ def test_a_table_from_before_there_were_reasons_is_read(tmp_path):
 
 
 @pytest.mark.parametrize("words", ["two\nlines", "two\rlines", "a\x1b[2Jterminal cleared"])
-def test_words_that_are_no_line_of_text_are_refused(words):
+def test_texts_that_are_not_one_printable_line_are_refused(words):
     with pytest.raises(InvalidInputError, match=r"reason is .*; one line of printable text"):
         PointRow(frame=0, time_s=0.0, status="lost", reason=words)
     with pytest.raises(InvalidInputError, match=r"view is .*; one line of printable text"):
@@ -200,7 +200,7 @@ def test_an_older_table_is_kept_until_the_first_row(tmp_path):
     assert read_points(path) == [POINT]
 
 
-def test_an_older_table_is_kept_where_the_work_fails_before_the_first_row(tmp_path):
+def test_an_older_table_is_kept_if_the_work_fails_before_the_first_row(tmp_path):
     path = tmp_path / "p.csv"
     path.write_text("of the last run")
     with pytest.raises(InvalidInputError, match="refused"), write_points(path):
@@ -216,13 +216,13 @@ def test_a_table_without_rows_has_a_header(tmp_path):
     assert path.read_text() == f"{POINTS_HEADER}\n"
 
 
-def test_a_new_table_that_never_begins_is_no_file(tmp_path):
+def test_a_table_that_is_never_begun_creates_no_file(tmp_path):
     write_points(tmp_path / "p.csv").close()
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
-def test_a_table_goes_into_a_pipe(tmp_path):
+def test_a_table_can_be_written_into_a_pipe(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     program = "import sys; sys.stdout.write(open(sys.argv[1]).read())"
@@ -299,7 +299,7 @@ def test_a_missing_column_is_named(tmp_path):
         ({"frame": True}, "frame is True"),
     ],
 )
-def test_a_row_that_makes_no_sense_is_not_made(changes, said):
+def test_an_inconsistent_row_is_refused(changes, said):
     cells = {name: getattr(TRACK, name) for name in TRACKS_HEADER.split(",")}
     with pytest.raises(InvalidInputError, match=said):
         TrackRow(**(cells | changes))
@@ -331,7 +331,7 @@ def test_a_video_holds_every_frame(tmp_path, suffix, size):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_colours_stay_what_they_are(tmp_path):
+def test_colours_are_preserved(tmp_path):
     colour = (30, 120, 220)
     with VideoWriter(tmp_path / "o.avi", fps=25) as video:
         video.write(np.full((48, 64, 3), colour, np.uint8))
@@ -354,7 +354,7 @@ def test_a_webm_keeps_every_time_to_the_millisecond(tmp_path):
     with VideoWriter(path, fps=None) as video:
         for time_s in UNEVEN_S:
             video.write(np.full((48, 64), 90, np.uint8), time_s)
-    # What does not go forward follows a millisecond later.
+    # A time that does not increase becomes one millisecond after the last.
     wanted = [0.0, 0.04, 0.08, 0.2, 0.201, 3.0, 3.001, 4.5]
     np.testing.assert_allclose(times_of(path), wanted, atol=1e-6)
     data = path.read_bytes()
@@ -380,9 +380,9 @@ def test_a_webm_that_was_cut_plays_up_to_the_cut(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
-def test_videos_of_one_rate_keep_to_the_times_by_showing_frames_again(tmp_path, suffix):
+def test_videos_of_a_fixed_rate_repeat_frames_to_keep_the_times(tmp_path, suffix):
     path = tmp_path / f"o{suffix}"
-    levels = {0.0: 0, 0.1: 120, 0.5: 240}  # the first two tell the rate: 10 a second
+    levels = {0.0: 0, 0.1: 120, 0.5: 240}  # the first two set the rate: 10 frames/s
     with VideoWriter(path, fps=None) as video:
         for time_s, level in levels.items():
             video.write(np.full((48, 64), level, np.uint8), time_s)
@@ -390,7 +390,7 @@ def test_videos_of_one_rate_keep_to_the_times_by_showing_frames_again(tmp_path, 
     assert shown == pytest.approx([0, 120, 120, 120, 120, 240], abs=12)
 
 
-def test_an_encoder_that_is_behind_drops_live_frames_alone(tmp_path, monkeypatch):
+def test_a_slow_encoder_drops_only_the_frames_of_live_sources(tmp_path, monkeypatch):
     may_go, is_held = threading.Event(), threading.Event()
     frame = webm._key_frame(np.zeros((48, 64, 3), np.uint8))
 
@@ -422,7 +422,7 @@ def test_an_interrupted_run_leaves_a_whole_video(tmp_path):
     assert len(frames_of(tmp_path / "o.mp4")) == 5
 
 
-def test_a_killed_run_leaves_the_older_video_and_a_part(tmp_path):
+def test_a_killed_run_leaves_the_older_video_and_a_partial_one(tmp_path):
     for name in ("o.avi", "o.mp4"):
         with VideoWriter(tmp_path / name, fps=25) as video:
             video.write(np.zeros((48, 64), np.uint8))
@@ -491,7 +491,7 @@ def test_ctrl_c_while_a_frame_is_written_leaves_a_whole_video(tmp_path, monkeypa
     assert len(frames_of(tmp_path / "o.mp4")) == 2
 
 
-def test_a_video_that_cannot_be_made_is_refused_at_once(tmp_path):
+def test_an_invalid_video_is_refused_at_once(tmp_path):
     for name, said in [
         ("none/o.mp4", "the folder .*none does not exist"),
         ("o.gif", r"a name ending in \.webm, \.mp4, \.mkv, \.avi is needed"),
@@ -506,7 +506,7 @@ def test_a_video_that_cannot_be_made_is_refused_at_once(tmp_path):
             VideoWriter(tmp_path / "p.mp4", fps=fps)
 
 
-def test_an_image_that_does_not_fit_is_refused(tmp_path):
+def test_an_image_of_another_size_or_type_is_refused(tmp_path):
     with VideoWriter(tmp_path / "o.mp4", fps=25) as video:
         video.write(np.zeros((48, 64), np.uint8))
         with pytest.raises(InvalidInputError, match="64 x 50 pixels: the video's first one has 64"):
@@ -526,7 +526,7 @@ def test_a_size_that_the_encoder_refuses_is_named(tmp_path):
     assert not (tmp_path / "o.mp4").exists()
 
 
-def test_a_part_that_is_there_already_is_not_touched(tmp_path):
+def test_an_existing_partial_video_is_not_touched(tmp_path):
     for name in ("o.part.mp4", "o.part2.mp4"):
         (tmp_path / name).write_text("mine")
     (tmp_path / "o.part3.mp4").symlink_to(tmp_path / "nowhere")
@@ -539,7 +539,7 @@ def test_a_part_that_is_there_already_is_not_touched(tmp_path):
     assert len(frames_of(tmp_path / "o.mp4")) == 1
 
 
-def test_two_videos_of_one_name_share_no_part(tmp_path):
+def test_two_videos_of_one_name_have_separate_partial_files(tmp_path):
     path = tmp_path / "o.mp4"
     with VideoWriter(path, fps=25) as one, VideoWriter(path, fps=25) as other:
         for level in (0, 200):
@@ -549,7 +549,7 @@ def test_two_videos_of_one_name_share_no_part(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-# OpenCV ends the process where a name is no UTF-8, so each of these has one of its own.
+# OpenCV aborts the process if a name is not UTF-8, so each test runs in a process of its own.
 _NAMED = """
 import os, sys
 import numpy as np
@@ -592,7 +592,7 @@ _IN_ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are bytes")
 @pytest.mark.parametrize("kind", ["video", "picture", "recording"])
 @pytest.mark.parametrize("environment", [{}, _IN_ASCII])
-def test_a_name_that_is_no_utf8_is_refused(tmp_path, kind, environment):
+def test_a_name_that_is_not_utf8_is_refused(tmp_path, kind, environment):
     assert "is not UTF-8" in named(tmp_path, kind, b"a\xffb", **environment)
     assert not [path for path in tmp_path.rglob("*") if path.suffix == ".mp4"]
 
@@ -603,7 +603,7 @@ def test_a_video_has_the_name_it_was_given_in_any_locale(tmp_path):
     assert [os.fsencode(path.name) for path in tmp_path.iterdir()] == ["ö.mp4".encode()]
 
 
-def test_a_video_without_frames_is_no_file(tmp_path):
+def test_a_video_without_frames_creates_no_file(tmp_path):
     with VideoWriter(tmp_path / "o.mp4", fps=25):
         pass
     assert list(tmp_path.iterdir()) == []

@@ -1,4 +1,4 @@
-"""Recordings that were cut: nothing before the cut is lost, whoever wrote them."""
+"""Truncated recordings of any program: nothing before the cut is lost."""
 
 import json
 import random
@@ -62,7 +62,7 @@ def read(path: Path) -> list[tuple[str, int, int, int, bytes]]:
 
 
 def ends_of_messages(path: Path) -> list[int]:
-    """Where in the file each message's chunk ends: before, it may be there; after, it must be."""
+    """Offset of the end of each message's chunk; a file cut after it must contain the message."""
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     counted = []
@@ -80,7 +80,7 @@ def ends_of_messages(path: Path) -> list[int]:
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
-def test_whatever_was_complete_before_a_cut_is_recovered(tmp_path, compression):
+def test_complete_messages_before_a_cut_are_recovered(tmp_path, compression):
     whole = foreign(tmp_path / "whole.mcap", CompressionType[compression.upper()])
     data, messages, ends = whole.read_bytes(), read(whole), ends_of_messages(whole)
     rng = random.Random(compression)
@@ -95,7 +95,7 @@ def test_whatever_was_complete_before_a_cut_is_recovered(tmp_path, compression):
         assert len(found) >= sum(end <= place for end in ends)
 
 
-def test_a_whole_file_is_copied_with_all_that_stands_beside_its_messages(tmp_path):
+def test_a_whole_file_is_copied_with_attachments_and_metadata(tmp_path):
     whole = foreign(tmp_path / "whole.mcap", CompressionType.ZSTD)
     done = invoked("recover", whole, tmp_path / "copy.mcap")
     assert "it was whole" in done.stdout
@@ -111,7 +111,7 @@ def test_a_whole_file_is_copied_with_all_that_stands_beside_its_messages(tmp_pat
     assert channel.metadata == {"key": "value"}
 
 
-def test_a_cut_chunk_gives_the_messages_before_the_cut(tmp_path):
+def test_messages_before_a_cut_within_a_chunk_are_recovered(tmp_path):
     whole = foreign(tmp_path / "whole.mcap", CompressionType.NONE)
     with whole.open("rb") as file:
         chunk = make_reader(file).get_summary().chunk_indexes[1]
@@ -125,7 +125,7 @@ def test_a_cut_chunk_gives_the_messages_before_the_cut(tmp_path):
     assert chunks_end.count(first) < count < chunks_end.count(first) + chunks_end.count(second)
 
 
-def test_a_damaged_chunk_costs_no_other(tmp_path):
+def test_a_damaged_chunk_loses_only_its_own_messages(tmp_path):
     whole = foreign(tmp_path / "whole.mcap", CompressionType.ZSTD)
     with whole.open("rb") as file:
         chunk = make_reader(file).get_summary().chunk_indexes[1]
@@ -149,20 +149,20 @@ def test_a_cut_recording_is_a_source_up_to_the_cut(recording, tmp_path):
     assert source.notes == (f"{cut}: cut off at byte {cut.stat().st_size}",)
 
 
-def test_info_tells_the_same_by_index_and_by_counting(recording, tmp_path):
-    told = json.loads(invoked("info", recording, "--json").stdout)
-    assert told["messages"] == {"/frames": FRAMES, "/a/image": FRAMES, "/a/calibration": 1}
-    assert (told["wrong"], told["dropped"], told["about"]["views"]) == ("", 0, ["a"])
-    assert told["end_ns"] - told["start_ns"] == round(0.1 * (FRAMES - 1) * 1e9)
+def test_info_reports_the_same_from_the_index_and_by_counting(recording, tmp_path):
+    indexed = json.loads(invoked("info", recording, "--json").stdout)
+    assert indexed["messages"] == {"/frames": FRAMES, "/a/image": FRAMES, "/a/calibration": 1}
+    assert (indexed["wrong"], indexed["dropped"], indexed["about"]["views"]) == ("", 0, ["a"])
+    assert indexed["end_ns"] - indexed["start_ns"] == round(0.1 * (FRAMES - 1) * 1e9)
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(recording.read_bytes()[:-1])
     counted = json.loads(invoked("info", cut, "--json").stdout)
-    differ = {key for key in told if told[key] != counted[key]}
+    differ = {key for key in indexed if indexed[key] != counted[key]}
     assert differ == {"path", "size_bytes", "wrong"}
     assert "cut off" in invoked("info", cut).stdout.splitlines()[0]
 
 
-def test_files_of_other_programs_are_told_of_in_one_line(tmp_path):
+def test_files_that_cannot_be_replayed_are_refused_in_one_line(tmp_path):
     other = foreign(tmp_path / "other.mcap", CompressionType.ZSTD)
     assert "another 2.0" in invoked("info", other).stdout
     for name, content, words in (
@@ -178,7 +178,7 @@ def test_files_of_other_programs_are_told_of_in_one_line(tmp_path):
         assert words in line
 
 
-def test_recovery_replaces_no_file(recording, tmp_path):
+def test_recovery_overwrites_no_file(recording, tmp_path):
     (tmp_path / "there.mcap").write_bytes(b"precious")
     done = invoked("recover", recording, tmp_path / "there.mcap")
     assert done.exit_code == 2

@@ -1,4 +1,4 @@
-"""Rectangles: found in pictures, their corners measured, and followed while the camera moves."""
+"""Rectangles: detection in pictures, measurement of corners, tracking after camera motions."""
 
 import math
 
@@ -26,7 +26,7 @@ CHI2_95 = -2.0 * math.log(0.05)
 
 
 def measured(count, paper, table, noise, cover=0.0):
-    """Errors of the corners of sheets in many pictures [px], and their normalised squares."""
+    """Errors of corners in `count` pictures [px], and their squared Mahalanobis distances."""
     errors, squares = [], []
     for seed in range(count):
         rng = np.random.default_rng(seed)
@@ -53,27 +53,27 @@ def test_corners_of_clean_pictures_are_exact():
     assert rms(errors) < 0.02
 
 
-def test_corners_hold_where_a_quarter_of_the_outline_is_covered():
+def test_corners_are_exact_with_a_quarter_of_the_outline_covered():
     errors, _ = measured(30, 220, 80, 4.0, cover=0.25)
     assert rms(errors) < 0.05
     assert np.abs(errors.mean(axis=(0, 1))).max() < 0.01
 
 
-def test_covariances_hold():
+def test_covariances_contain_the_errors():
     _, squares = measured(60, 220, 80, 3.0)
-    # 240 corners that err in pairs: 95 ± 3 % within two standard deviations of a count.
+    # 240 corners with pairwise correlated errors: 95 ± 3 % at two standard deviations.
     assert 0.92 <= np.mean(squares < CHI2_95) <= 0.985
 
 
 def wooden(rng, shape):
-    """A table with a grain along one direction."""
+    """Grey levels of a table with wood grain in one direction."""
     grain = rng.normal(size=(shape[0], 24)) * 40
     grain = cv2.resize(grain, shape[::-1], interpolation=cv2.INTER_CUBIC)
     return 110 + cv2.GaussianBlur(grain, (0, 0), 1.5)
 
 
 def best_off_px(picture, corners, **options):
-    """How far the corners of the likeliest rectangle are off, whichever of them is the first."""
+    """Largest error of the best rectangle's corners [px], in any cyclic order."""
     found = find_rectangles(picture, A4, **options)
     assert found
     got = found[0].sides.corners_px
@@ -89,7 +89,7 @@ def test_finds_a_sheet(scene, seed):
     corners = corners_of_view(rng)
     part = inside(corners)
     if scene == "colour":
-        # As light as the table, but blue on green.
+        # The table's lightness, but blue on green.
         colours = [np.array([200.0, 110, 90]), np.array([90.0, 150, 76])]
         levels = colours[1] + (colours[0] - colours[1]) * part[..., None]
         picture = noisy(levels, rng, 2)
@@ -100,7 +100,7 @@ def test_finds_a_sheet(scene, seed):
     levels = table + (paper - table) * part
     if scene == "half covered":
         levels = covered(levels, corners, rng, 0.4)
-    # The grain is an edge, too, and it runs into that of the sheet.
+    # The grain has edges, too, some of which run into those of the sheet.
     assert best_off_px(noisy(levels, rng, 2), corners) < 0.8
 
 
@@ -113,7 +113,7 @@ def test_a_corner_may_be_outside_of_the_picture():
     assert best_off_px(picture, corners) < 0.2
 
 
-def test_a_click_or_corners_tell_which_of_two_sheets():
+def test_a_click_or_corners_select_one_of_two_sheets():
     picture = np.full(SIZE[::-1], 90.0)
     sheets = [
         np.array([[x, 80], [x + 190, 84], [x + 180, 380], [x + 4, 370]], float) for x in (60, 360)
@@ -126,7 +126,7 @@ def test_a_click_or_corners_tell_which_of_two_sheets():
         assert best_off_px(picture, corners, near_px=corners[::-1] + 6.0) < 0.1
 
 
-def test_nothing_is_found_in_nothing():
+def test_nothing_is_found_in_plain_pictures():
     assert find_rectangles(np.full((120, 160), 90, np.uint8), A4) == []
     assert find_rectangles(np.zeros((40, 60, 3), np.uint8), A4) == []
 
@@ -151,7 +151,7 @@ def test_sides_are_straight_through_a_known_lens():
 
 
 class Camera:
-    """A still scene, seen by a camera that can be knocked."""
+    """A static scene seen by a camera that can be displaced."""
 
     def __init__(self, seed=3, noise=3.0):
         self.rng = np.random.default_rng(seed)
@@ -191,7 +191,7 @@ def test_a_still_camera_averages_its_references():
 
 
 @pytest.mark.parametrize("by_px", [1.0, 6.0, 70.0])
-def test_a_knocked_camera_is_right_again_within_3_frames(by_px):
+def test_references_of_a_displaced_camera_recover_within_3_frames(by_px):
     camera = Camera()
     follower = follower_of(camera)
     for _ in range(30):
@@ -206,12 +206,12 @@ def test_a_knocked_camera_is_right_again_within_3_frames(by_px):
     assert follower.moved_px == 0.0
 
 
-def test_what_covers_a_side_moves_nothing():
+def test_covering_a_side_is_not_a_motion():
     camera = Camera()
     follower = follower_of(camera)
     for _ in range(10):
         follower.look(camera.frame())
-    # A ruler along most of a side, 4 px inside of it.
+    # A ruler along a side, reaching 4 px inside the sheet.
     a, b = camera.corners[:2]
     inward = camera.corners.mean(axis=0) - (a + b) / 2
     shift = 4 * inward / np.linalg.norm(inward)
@@ -234,7 +234,7 @@ def test_a_view_without_references_is_adrift():
     assert follower.plane_view(None) is None
 
 
-def test_edges_and_lines_refuse_what_is_none():
+def test_edges_and_lines_refuse_invalid_input():
     picture = np.zeros((20, 20), np.uint8)
     with pytest.raises(InvalidInputError, match="reach_px is 0"):
         edges_along(picture, [[1, 2], [9, 2]], 0, 0, 3)

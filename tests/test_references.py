@@ -1,4 +1,4 @@
-"""A camera that moves is noticed by what stands on the table, and nothing else is taken for it."""
+"""A motion of the camera is detected from the table, and nothing else is mistaken for one."""
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ RNG_SEED = 0x72656673
 
 
 def table(width_px: int = 640, height_px: int = 480) -> np.ndarray:
-    """A blurred random pattern: corners everywhere."""
+    """A smooth random pattern with corners everywhere."""
     rng = np.random.default_rng(RNG_SEED)
     cells = rng.uniform(40, 200, (height_px // 12, width_px // 12)).astype(np.float32)
     return cv2.resize(cells, (width_px, height_px), interpolation=cv2.INTER_CUBIC)
@@ -35,7 +35,7 @@ def shift(u_px: float, v_px: float) -> np.ndarray:
 
 
 def shown(watch: ReferenceWatch, pictures: list[np.ndarray]) -> float:
-    """What a watch says after each picture was there for as long as it takes to be looked at."""
+    """Show each picture for `TEST_EVERY` frames; return the reported motion [px]."""
     for picture in pictures:
         for _ in range(TEST_EVERY):
             watch.look(picture)
@@ -44,18 +44,18 @@ def shown(watch: ReferenceWatch, pictures: list[np.ndarray]) -> float:
 
 @pytest.mark.parametrize("size_px", [(320, 240), (640, 480), (1280, 960)])
 @pytest.mark.parametrize("by_px", [(3.0, 0.0), (-4.0, 5.5), (25.0, -18.0)])
-def test_a_shift_is_told_in_pixels_of_the_picture(size_px, by_px):
+def test_a_shift_is_reported_in_pixels_of_the_picture(size_px, by_px):
     picture = table(*size_px)
     watch = ReferenceWatch(REFERENCES_PX)
-    told_px = shown(watch, [taken(picture), taken(moved(picture, shift(*by_px)), 2)])
-    assert told_px == pytest.approx(np.hypot(*by_px), abs=0.3 * size_px[0] / 320)
+    reported_px = shown(watch, [taken(picture), taken(moved(picture, shift(*by_px)), 2)])
+    assert reported_px == pytest.approx(np.hypot(*by_px), abs=0.3 * size_px[0] / 320)
 
 
-def test_a_camera_that_was_away_is_adrift_until_the_plane_is_seen_where_it_was():
+def test_a_doubted_camera_is_adrift_until_the_plane_is_seen_in_its_place():
     picture, another = table(), table()[::-1, ::-1].copy()
     watch = ReferenceWatch(REFERENCES_PX)
     shown(watch, [taken(picture), taken(another, 2)])
-    assert not watch.is_adrift  # for all that is known, something stands before the table
+    assert not watch.is_adrift  # something may cover the table
     watch.doubt()
     shown(watch, [taken(another, 3)])
     assert watch.is_adrift
@@ -64,7 +64,7 @@ def test_a_camera_that_was_away_is_adrift_until_the_plane_is_seen_where_it_was()
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(0.6, 0.0), (0.4, 5.0), (0.8, 50.0)])
-def test_a_camera_that_comes_back_in_another_light_is_where_it_was(gain, offset):
+def test_a_camera_that_returns_in_another_light_is_recognised(gain, offset):
     picture = table()
     watch = ReferenceWatch(REFERENCES_PX)
     shown(watch, [taken(picture)])
@@ -73,14 +73,14 @@ def test_a_camera_that_comes_back_in_another_light_is_where_it_was(gain, offset)
     assert not watch.is_adrift
 
 
-def test_a_table_without_texture_leaves_no_doubt_that_could_not_be_ended():
+def test_doubt_is_ignored_before_a_table_without_texture():
     watch = ReferenceWatch(REFERENCES_PX)
     shown(watch, [np.full((240, 320), 90, np.uint8)])
     watch.doubt()
     assert not watch.is_adrift
 
 
-def test_a_camera_that_turns_has_moved_and_one_that_comes_back_has_not():
+def test_a_rotation_is_a_motion_and_a_return_ends_it():
     picture = table()
     turned = moved(picture, cv2.getRotationMatrix2D((100.0, 60.0), 1.0, 1.0))
     watch = ReferenceWatch(REFERENCES_PX)
@@ -98,14 +98,14 @@ def test_a_camera_that_turns_has_moved_and_one_that_comes_back_has_not():
     ],
     ids=["a nudge", "less light", "a shadow", "out of focus"],
 )
-def test_what_leaves_the_table_in_its_place_is_no_motion(later):
+def test_a_nudge_or_a_change_of_light_or_focus_is_no_motion(later):
     picture = table()
     watch = ReferenceWatch(REFERENCES_PX)
     assert shown(watch, [taken(picture), taken(later(picture), 2)]) == 0.0
 
 
-def test_the_corners_of_a_hand_and_its_sleeve_move_no_camera():
-    # All that has corners moves; nothing else does.
+def test_a_moving_hand_and_sleeve_are_no_camera_motion():
+    # Everything with corners moves; the plain table does not.
     plain = np.full((480, 640), 90.0, np.float32)
     sleeve = table(240, 260)
 
@@ -118,11 +118,11 @@ def test_the_corners_of_a_hand_and_its_sleeve_move_no_camera():
     assert shown(watch, [at(40), at(60), at(120), at(300)]) == 0.0
 
 
-def test_a_pointer_that_is_nearly_half_of_what_shows_moves_no_camera(monkeypatch):
-    # On a table that is so dark that its pixels tell nothing:
+def test_a_moving_pointer_with_nearly_half_of_the_corners_is_no_camera_motion(monkeypatch):
+    # On a table too dark for its pixels to be informative:
     monkeypatch.setattr(PlaneRegistration, "is_static", lambda *_: False)
-    # Three things stand on a plain table; what points has corners in two parts of the picture. It
-    # begins to move by so little that one motion of the camera would nearly do for all five.
+    # Three static objects on a plain table, and a pointer with corners in two parts of the picture,
+    # which starts so slowly that one motion of the camera nearly explains all five.
     tip = np.array([250.0, 30.0])
 
     def with_things(*places: tuple[int, int]) -> np.ndarray:
@@ -143,16 +143,16 @@ def test_a_pointer_that_is_nearly_half_of_what_shows_moves_no_camera(monkeypatch
             assert watch.moved_px == 0.0, step_px
 
 
-def test_reference_points_that_are_corners_tell_on_a_table_without_any_others():
+def test_reference_points_that_are_the_only_corners_reveal_a_motion():
     picture = np.full((480, 640), 60.0, np.float32)
     cv2.fillConvexPoly(picture, np.array(REFERENCES_PX, int), 200.0, cv2.LINE_AA)
     watch = ReferenceWatch(REFERENCES_PX)
-    told_px = shown(watch, [taken(picture), taken(moved(picture, shift(6.0, -4.0)), 2)])
-    assert told_px == pytest.approx(np.hypot(6.0, 4.0), abs=0.5)
+    reported_px = shown(watch, [taken(picture), taken(moved(picture, shift(6.0, -4.0)), 2)])
+    assert reported_px == pytest.approx(np.hypot(6.0, 4.0), abs=0.5)
 
 
 def white_table() -> np.ndarray:
-    """Faint lines, and a patterned mug that has most of the corners and the strongest edges."""
+    """Faint lines, and a patterned mug with most of the corners and the strongest edges."""
     picture = np.full((480, 640), 205.0, np.float32)
     rng = np.random.default_rng(RNG_SEED)
     for k in np.cumsum(rng.integers(18, 50, 18)).tolist():
@@ -164,21 +164,21 @@ def white_table() -> np.ndarray:
 
 
 def with_shadow(picture: np.ndarray, u_px: int) -> np.ndarray:
-    """The same with the hard shadow of something that is not in the picture."""
+    """The picture with a hard shadow of an object outside it."""
     shadow = np.zeros(picture.shape, np.float32)
     cv2.ellipse(shadow, (u_px, 200), (50, 35), 20.0, 0.0, 360.0, 1.0, -1)
     return picture * (1.0 - 0.45 * cv2.GaussianBlur(shadow, (0, 0), 1.0))
 
 
-def test_a_faint_lattice_tells_a_motion_that_a_mug_alone_would_not():
+def test_a_faint_lattice_reveals_a_motion_beside_a_patterned_mug():
     watch = ReferenceWatch(REFERENCES_PX)
     picture = white_table()
-    told_px = shown(watch, [taken(picture), taken(moved(picture, shift(6.0, -4.0)), 2)])
-    assert told_px == pytest.approx(np.hypot(6.0, 4.0), abs=0.5)
+    reported_px = shown(watch, [taken(picture), taken(moved(picture, shift(6.0, -4.0)), 2)])
+    assert reported_px == pytest.approx(np.hypot(6.0, 4.0), abs=0.5)
 
 
-def test_a_shadow_that_moves_on_a_white_table_leads_no_reference_point_away():
-    # The camera moves to the left, and a shadow with most of the strong edges to the right.
+def test_a_moving_shadow_on_a_white_table_displaces_no_reference_point():
+    # The picture shifts to the left; a shadow with most of the strong edges moves to the right.
     watch = ReferenceWatch(REFERENCES_PX)
     off_px = []
     for k in range(40):
@@ -191,7 +191,7 @@ def test_a_shadow_that_moves_on_a_white_table_leads_no_reference_point_away():
     assert max(off_px) < 1.0
 
 
-def test_a_camera_that_begins_to_move_is_noticed_in_the_next_picture():
+def test_the_start_of_a_camera_motion_is_detected_in_the_next_picture():
     picture = 120.0 + 0.4 * (table() - 120.0)
     watch = ReferenceWatch(REFERENCES_PX)
     for k in range(TEST_EVERY + 2):
@@ -201,7 +201,7 @@ def test_a_camera_that_begins_to_move_is_noticed_in_the_next_picture():
     assert watch.moved_px == pytest.approx(np.hypot(1.0, 0.6), abs=0.3)
 
 
-def test_a_hand_that_comes_and_points_moves_no_camera():
+def test_an_approaching_hand_is_no_camera_motion():
     rig = SimulatedRig(device=Hand(), background=Background(texture="wood", sheet=70.0))
     over = DevicePose.pointing_at((200, 200), azimuth_deg=20, slant_deg=50, hover_mm=120)
     path = Trajectory.through([over.retreated(500.0), over], 0.5)
@@ -221,18 +221,18 @@ def test_reference_points_may_lie_anywhere_outside_the_picture(far_px):
     references_px = [(far_px, 90.0), (520.0, far_px), (far_px, 400.0), (90.0, far_px)]
     watch, picture = ReferenceWatch(references_px), table()
     assert shown(watch, [taken(picture), taken(moved(picture, shift(0.4, 0.3)), 2)]) == 0.0
-    told_px = shown(watch, [taken(moved(picture, shift(6.0, -4.0)), 3)])
-    assert told_px == pytest.approx(np.hypot(6.0, 4.0), abs=0.5)
+    reported_px = shown(watch, [taken(moved(picture, shift(6.0, -4.0)), 3)])
+    assert reported_px == pytest.approx(np.hypot(6.0, 4.0), abs=0.5)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (6, 8), (480, 640), (30, 2000)])
-def test_a_table_without_texture_tells_nothing(shape):
+def test_a_table_without_texture_shows_no_motion(shape):
     watch = ReferenceWatch(REFERENCES_PX)
     for level in (0, 90, 255):
         assert shown(watch, [np.full(shape, level, np.uint8)]) == 0.0
 
 
-def test_pictures_of_another_size_begin_anew():
+def test_pictures_of_another_size_restart_the_watch():
     picture = table()
     watch = ReferenceWatch(REFERENCES_PX)
     assert shown(watch, [taken(picture), taken(moved(picture, shift(9.0, 0.0)))]) > MOVED_PX

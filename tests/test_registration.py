@@ -1,4 +1,4 @@
-"""The plane of a moving camera is found again: known motions, and what may hide or mimic them."""
+"""Registration of the plane after camera motions: known motions, occlusion and distractors."""
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ NOISE_LEVELS = 2.0
 
 
 def table(width_px: int = 640, height_px: int = 480) -> np.ndarray:
-    """Sheets and prints on a plain table: edges with flat places between them."""
+    """Random rectangles on a plain table: edges with uniform areas between them."""
     rng = np.random.default_rng(SEED)
     picture = np.full((height_px, width_px), 90.0, np.float32)
     for _ in range(60):
@@ -39,7 +39,7 @@ def taken(picture: np.ndarray, seed: int) -> np.ndarray:
 
 
 def motion_of(corners_px: np.ndarray) -> np.ndarray:
-    """The homography that moves the reference points by so much."""
+    """The homography that moves the reference points by `corners_px`."""
     return estimate_image_from_plane(REFERENCES_PX, REFERENCES_PX + corners_px)
 
 
@@ -51,7 +51,7 @@ def shown(picture: np.ndarray, now_from_first: np.ndarray) -> np.ndarray:
 
 
 def off_px(motion: PlaneMotion, truth: np.ndarray) -> np.ndarray:
-    """How far it puts the reference points from where they are."""
+    """Errors of the reference points under an estimated motion."""
     found = transfer_to_image(motion.now_from_first, REFERENCES_PX)
     return found - transfer_to_image(truth, REFERENCES_PX)
 
@@ -81,7 +81,7 @@ def test_a_large_motion_is_recovered_from_a_guess():
     assert np.abs(off_px(motion, truth)).max() < 0.15
 
 
-def test_soft_shadows_and_other_light_move_nothing():
+def test_soft_shadows_and_other_light_are_no_motion():
     picture = table()
     v, u = np.mgrid[:480, :640]
     shadow = 1.0 - 0.5 * np.exp(-((u - 200.0) ** 2 + (v - 250.0) ** 2) / (2 * 60.0**2))
@@ -90,7 +90,7 @@ def test_soft_shadows_and_other_light_move_nothing():
     assert np.abs(off_px(motion, np.eye(3))).max() < 0.1
 
 
-def test_what_covers_a_third_of_the_plane_moves_nothing():
+def test_a_motion_is_recovered_with_a_third_of_the_plane_covered():
     truth, picture = motion_of(MOTIONS["a shift"]), table()
     now = shown(picture, truth)
     now[150:330, 200:400] = table(200, 180)[:, ::-1]
@@ -99,14 +99,14 @@ def test_what_covers_a_third_of_the_plane_moves_nothing():
     assert np.abs(off_px(motion, truth)).max() < 0.15
 
 
-def test_a_hand_that_is_known_moves_no_plane():
-    # It has the only edges but for those of a sheet in the distance, and moves by two pixels.
+def test_a_known_hand_is_excluded():
+    # The hand has all the edges except those of a large sheet, and moves by two pixels.
     first = np.full((480, 640), 90.0, np.float32)
     cv2.rectangle(first, (150, 130), (480, 340), 120.0, -1)
     now = first.copy()
-    for picture, aside in ((first, 0), (now, 2)):
+    for picture, by_px in ((first, 0), (now, 2)):
         for k in range(8):
-            cv2.line(picture, (250 + aside, 160 + 20 * k), (360 + aside, 170 + 20 * k), 220.0, 9)
+            cv2.line(picture, (250 + by_px, 160 + 20 * k), (360 + by_px, 170 + 20 * k), 220.0, 9)
     first, now = (cv2.GaussianBlur(picture, (0, 0), 0.9) for picture in (first, now))
     hand = (np.array([305.0, 150.0]), np.array([305.0, 310.0]), 75.0)
     registration = PlaneRegistration(taken(first, 1), REFERENCES_PX)
@@ -115,7 +115,7 @@ def test_a_hand_that_is_known_moves_no_plane():
     assert np.abs(off_px(motion, np.eye(3))).max() < 0.6
 
 
-def test_a_distorted_picture_is_registered_in_the_pixels_of_the_pinhole():
+def test_a_distorted_picture_is_registered_in_undistorted_pixels():
     lens = Lens(fx=600.0, fy=600.0, cx=320.0, cy=240.0, k1=-0.25)
     truth, picture = motion_of(MOTIONS["a tilt"] + [6.0, 4.0]), table()
     v, u = np.mgrid[:480, :640].astype(float)
@@ -146,13 +146,13 @@ def test_the_covariance_is_that_of_repeated_pictures():
     found = np.array(errors)
     spread = np.einsum("kni,knj->nij", found, found) / len(found)
     ratio = np.trace(spread, axis1=1, axis2=2) / np.trace(np.mean(claimed, 0), axis1=1, axis2=2)
-    # What interpolation leaves at the edges is counted as noise, though it is the same every time.
+    # Interpolation errors at edges are counted as noise, although they are the same every time.
     assert (ratio > 0.2).all(), ratio
     assert (ratio < 1.5).all(), ratio
 
 
 def corner_covariances(view: PlaneView) -> np.ndarray:
-    """Covariances of where a view shows the reference points [px²], by central differences."""
+    """Covariances of a view's projected reference points [px²], by central differences."""
     T, step = view.image_from_plane, 1e-6
     jacobian = np.empty((len(REFERENCES_PX), 2, 9))
     for k in range(9):
@@ -167,16 +167,16 @@ def corner_covariances(view: PlaneView) -> np.ndarray:
 
 @pytest.mark.parametrize("level", [0, 90, 255])
 @pytest.mark.parametrize("shape", [(1, 1), (6, 8), (48, 64), (480, 640), (30, 2000)])
-def test_a_plain_table_tells_nothing(level, shape):
+def test_a_plain_table_gives_no_motion(level, shape):
     picture = np.full(shape, level, np.uint8)
     registration = PlaneRegistration(picture, REFERENCES_PX)
     assert registration.align(picture, np.eye(3)) is None
     assert registration.apparent_motion_px(picture) == 0.0
 
 
-def test_levels_that_no_motion_changes_are_not_asked_how_far_they_have_moved():
+def test_uniform_areas_do_not_affect_the_apparent_motion():
     picture = np.full((480, 640), 90, np.uint8)
-    picture[200:206, 200:206] = 200  # the square about it is flat for the most part
+    picture[200:206, 200:206] = 200  # most of the square around it is uniform
     registration = PlaneRegistration(picture, REFERENCES_PX)
     assert registration.apparent_motion_px(picture) == 0.0
     flickering = picture.copy()
@@ -184,7 +184,7 @@ def test_levels_that_no_motion_changes_are_not_asked_how_far_they_have_moved():
     assert np.isfinite(registration.apparent_motion_px(flickering))
 
 
-def test_another_place_is_not_this_one():
+def test_another_scene_is_not_registered():
     registration = PlaneRegistration(taken(table(), 1), REFERENCES_PX)
     assert registration.align(taken(table()[::-1, ::-1], 2), np.eye(3)) is None
     assert registration.apparent_motion_px(taken(table()[::-1, ::-1], 2)) > 1.0
@@ -223,7 +223,7 @@ def by_point(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def entries_to_points(view: PlaneView) -> np.ndarray:
-    """Covariances of the reference points that the entries' covariance stands for."""
+    """Covariances of the reference points implied by the covariance of the entries."""
     T = view.image_from_plane
     jacobian = np.empty((len(view.plane_points), 2, 9))
     for k in range(9):
@@ -236,7 +236,7 @@ def entries_to_points(view: PlaneView) -> np.ndarray:
     return jacobian @ view.entries_covariance @ np.swapaxes(jacobian, 1, 2)
 
 
-def test_between_two_views_the_plane_moves_evenly():
+def test_interpolation_between_two_views_is_linear():
     view = PlaneView.from_reference_points(PLANE, REFERENCES_PX, 0.3**2 * np.eye(2))
     later = view.moved(motion_of(np.tile([4.0, -2.0], (4, 1))), np.zeros((9, 9)))
     assert view.between(view, 0.3) is view
@@ -244,7 +244,7 @@ def test_between_two_views_the_plane_moves_evenly():
     assert halfway_px == pytest.approx(REFERENCES_PX + np.array([2.0, -1.0]), abs=1e-6)
 
 
-def test_an_arm_that_has_all_strong_corners_is_no_camera():
+def test_an_arm_with_all_strong_corners_is_no_camera_motion():
     plain = np.full((480, 640), 90.0, np.float32)
     for k in range(1, 16):
         cv2.line(plain, (40 * k, 0), (40 * k, 479), 108.0, 1)
@@ -262,7 +262,7 @@ def test_an_arm_that_has_all_strong_corners_is_no_camera():
     assert not registration.is_static(taken(shown(at(40), shift), 3), shift)
 
 
-def test_a_table_in_other_light_stands():
+def test_a_table_in_other_light_is_static():
     registration = PlaneRegistration(taken(table(), 1), REFERENCES_PX)
     shift = motion_of(np.tile([3.0, 1.0], (4, 1)))
     assert registration.is_static(taken(0.7 * table() + 10, 2), shift)

@@ -1,4 +1,4 @@
-"""What a release is made of: the notes, and the tests of the installed package."""
+"""Parts of a release: its notes, and the tests of the installed package."""
 
 import runpy
 from pathlib import Path
@@ -39,6 +39,6 @@ def test_our_own_changelog_has_notes_for_the_next_release():
     assert notes("Unreleased", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"))
 
 
-def test_every_test_of_the_installed_package_is_there():
+def test_every_test_of_the_installed_package_exists():
     for name in (ROOT / "tests" / "installed.txt").read_text(encoding="utf-8").split():
         assert (ROOT / name).is_file(), name

@@ -1,4 +1,4 @@
-"""A camera on another machine: its pictures as they were sent, at their times by this clock."""
+"""Cameras on another machine: pictures as sent, with times on this machine's clock."""
 
 import signal
 import subprocess
@@ -28,7 +28,7 @@ JPEGS = [cv2.imencode(".jpg", picture)[1].tobytes() for picture in textured(4)]
 
 
 class Sender:
-    """Another machine, whose clock is ahead of this one's."""
+    """Another machine, whose clock is ahead of this machine's."""
 
     def __init__(self, port: int, ahead_ns: int = 0) -> None:
         self.ahead_ns = ahead_ns
@@ -56,7 +56,7 @@ class Sender:
 
 
 class Repeating:
-    """Sends a picture again and again until a source has opened."""
+    """Sends pictures repeatedly until a source has opened."""
 
     def __init__(self, sender: Sender) -> None:
         self.sender = sender
@@ -79,7 +79,7 @@ class Repeating:
 
 
 @pytest.mark.parametrize("ahead_ns", [0, 5_000_000_000, -3_000_000_000])
-def test_pictures_come_as_sent_at_their_times_by_this_clock(ahead_ns):
+def test_pictures_arrive_as_sent_with_times_on_this_machine_s_clock(ahead_ns):
     port = free_port()
     with Sender(port, ahead_ns) as sender:
         repeating = Repeating(sender)
@@ -95,25 +95,25 @@ def test_pictures_come_as_sent_at_their_times_by_this_clock(ahead_ns):
     decoded = cv2.imdecode(np.frombuffer(JPEGS[2], np.uint8), cv2.IMREAD_COLOR)
     np.testing.assert_array_equal(frame.image, decoded)
     assert abs(offset_ns - ahead_ns) <= error_ns + 1
-    assert abs(frame.time_s * 1e9 - captured_ns) <= error_ns + 1000  # and what floats round
+    assert abs(frame.time_s * 1e9 - captured_ns) <= error_ns + 1000  # and rounding of floats
     way = "behind" if offset_ns < 0 else "ahead of"
     assert f"its clock is {abs(offset_ns) / 1e6:.1f} ms {way} this machine's, to within" in note
 
 
-def test_the_soonest_answer_is_believed():
+def test_the_fastest_answer_gives_the_offset():
     offset = ClockOffset(time.monotonic_ns)
     assert not offset.is_known
-    # The other clock is 1000 ahead; the second question is answered late, and only on its way back.
+    # The other clock is 1000 ahead; the second answer is delayed, on its way back only.
     offset.add(0, 10, 1005)
     offset.add(100, 500, 1105)
     assert offset.best == (1000, 5)
     assert offset.here(3000) == 2000
-    for k in range(8):  # what is old is forgotten: the clocks drift apart
+    for k in range(8):  # old answers are dropped: clocks drift
         offset.add(1000 * k, 1000 * k + 20, 1000 * k + 1210)
     assert offset.best == (1200, 10)
 
 
-def test_a_camera_that_goes_is_lost_and_comes_back():
+def test_a_camera_that_disconnects_is_lost_and_returns():
     port = free_port()
     with Sender(port) as sender, Repeating(sender).open(port, timeout_s=1.0) as source:
         assert isinstance(next(source), Frame)
@@ -133,7 +133,7 @@ def test_a_camera_that_goes_is_lost_and_comes_back():
             wait_until(is_back)
 
 
-def test_what_is_no_camera_is_said():
+def test_missing_cameras_are_reported():
     port = free_port()
     url = f"zenoh://127.0.0.1:{port}"
     with pytest.raises(CaptureError, match=f"nobody answers at 127.0.0.1:{port}"):
@@ -158,7 +158,7 @@ def camera(server: Server) -> Iterator[tuple[subprocess.Popen, int]]:  # noqa: F
     running.communicate()
 
 
-def test_cameras_are_published_as_they_send(camera, server):  # noqa: F811
+def test_pictures_of_cameras_are_published_unchanged(camera, server):  # noqa: F811
     running, port = camera
     line = running.stdout.readline()
     assert line == f'source = "zenoh://127.0.0.1:{port}/lab/left"\n'
@@ -189,7 +189,7 @@ def test_cameras_are_published_as_they_send(camera, server):  # noqa: F811
         (["--publish", "zenoh://", "0", "--set", "fps"], "KEY=VALUE as in TOML is right"),
     ],
 )
-def test_slips_are_one_line(arguments, said):
+def test_wrong_arguments_are_refused_in_one_line(arguments, said):
     done = CliRunner().invoke(main, ["cameras", *arguments])
     assert done.exit_code == 2
     (line,) = done.stderr.splitlines()

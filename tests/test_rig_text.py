@@ -1,4 +1,4 @@
-"""Slips in a rig file: the message holds the line that would be right."""
+"""Slips in a rig file: the message contains the corrected line."""
 
 import re
 import tomllib
@@ -43,7 +43,7 @@ LENS = "lens = { fx = 1692, fy = 1692, cx = 319.5, cy = 239.5, k1 = -0.1 }"
 KIND = 'reference = { kind = "fixed" }'
 THUMB = 'thumb = "left"'
 
-# What is written in the rig above instead of a line, and the line that would be right.
+# A line of the rig above, the slip that replaces it, and the corrected line.
 SLIPS = [
     # backslashes
     (SOURCE, r'source = "C:\Users\me\left.mp4"', WINDOWS),
@@ -66,7 +66,7 @@ SLIPS = [
     (THUMB, "thumb = none  # of a rod", 'thumb = "none"  # of a rod'),
     (KIND, "reference = { kind = fixed }", KIND),
     (KIND, "reference = { kind = “fixed” }", KIND),
-    # what stands between key and value, and behind it
+    # between key and value, and after the value
     (SOURCE, 'source "left/*.jpg"', SOURCE),
     (SOURCE, 'source: "left/*.jpg"', SOURCE),
     (SOURCE, 'source := "left/*.jpg"', SOURCE),
@@ -136,7 +136,7 @@ SLIPS = [
 
 
 @pytest.mark.parametrize(("line", "slip", "right"), SLIPS, ids=[slip for _, slip, _ in SLIPS])
-def test_a_slip_is_answered_by_the_line_that_would_be_right(line, slip, right):
+def test_a_slip_is_answered_with_the_corrected_line(line, slip, right):
     text = RIG.replace(f"{line}\n", f"{slip}\n", 1)
     assert text != RIG
     with pytest.raises(InvalidInputError) as raised:
@@ -164,7 +164,7 @@ def test_every_view_begins_with_its_own_table(text):
         parsed(text.encode())
 
 
-def test_of_a_long_line_what_changes_is_shown():
+def test_only_the_change_of_a_long_line_is_shown():
     many = ", ".join(f"[{k}, {k * k}]" for k in range(100))
     for slip, shown in (
         (f"points = [{many}", "[99, 9801]]"),
@@ -176,7 +176,7 @@ def test_of_a_long_line_what_changes_is_shown():
         assert len(str(raised.value)) < 260
 
 
-def test_a_url_is_not_shown_for_what_it_may_hold():
+def test_a_url_is_not_shown_since_it_may_contain_secrets():
     with pytest.raises(InvalidInputError) as raised:
         parsed(RIG.replace(SOURCE, "source = rtsp://me:secret@host/1?token=secret").encode())
     assert "words stand in quotes" in str(raised.value)
@@ -184,7 +184,7 @@ def test_a_url_is_not_shown_for_what_it_may_hold():
     assert "secret" not in str(raised.value)
 
 
-# --- TOML that means something else -----------------------------------------------------------
+# --- valid TOML of another meaning ------------------------------------------------------------
 
 
 @pytest.mark.parametrize("path", [r"C:\temp\new.mp4", r"videos\table.mp4", r"D:\best/first.mp4"])
@@ -198,7 +198,7 @@ def test_a_path_that_loses_its_backslashes_is_refused(path):
 
 
 @pytest.mark.parametrize("path", ["C:/temp/new.mp4", r"C:\\temp\\new.mp4", "/data/a\\tb.mp4"])
-def test_other_paths_are_taken_as_they_are(path):
+def test_other_paths_are_accepted(path):
     assert parsed(RIG.replace(SOURCE, f'source = "{path}"').encode())["view"][0]["source"]
     quoted = RIG.replace(SOURCE, r"source = 'C:\temp\new.mp4'")
     assert parsed(quoted.encode())["view"][0]["source"] == r"C:\temp\new.mp4"
@@ -252,7 +252,7 @@ def test_a_byte_order_mark_and_any_ends_of_lines_are_read(ends):
     assert parsed(RIG.replace("\n", ends).encode("utf-8-sig")) == tomllib.loads(RIG)
 
 
-# --- whatever is written ----------------------------------------------------------------------
+# --- arbitrary edits --------------------------------------------------------------------------
 
 
 @example(place=RIG.index("fx"), length=0, instead="0\n")
@@ -261,7 +261,7 @@ def test_a_byte_order_mark_and_any_ends_of_lines_are_read(ends):
     length=st.integers(0, 3),
     instead=st.text(max_size=3) | st.text("[]{}\"',.=#\\\t\n-0a“”", max_size=3),
 )
-def test_whatever_is_slipped_in_is_one_line_and_advice_leads_on(place, length, instead):
+def test_any_edit_is_answered_in_one_line_and_advice_moves_the_error_on(place, length, instead):
     text = RIG[:place] + instead + RIG[place + length :]
     try:
         parsed(text.encode(errors="replace"))
@@ -276,7 +276,7 @@ def test_whatever_is_slipped_in_is_one_line_and_advice_leads_on(place, length, i
         lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
         index = int(advice[2]) - 1
         while "{" in lines[index] and "}" not in lines[index] and lines[index + 1 :]:
-            lines[index] += lines.pop(index + 1)  # one line instead of several
+            lines[index] += lines.pop(index + 1)  # joined into one line
         if advice[3] == "[[view]]" and lines[index].strip("[({< ])}>") != "view":
             lines.insert(index, advice[3])
         else:
@@ -285,7 +285,7 @@ def test_whatever_is_slipped_in_is_one_line_and_advice_leads_on(place, length, i
 
 
 def reached(text: str) -> float:
-    """The line at which a text cannot be read any further."""
+    """Line of the first syntax error; infinity without one."""
     try:
         tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -294,14 +294,14 @@ def reached(text: str) -> float:
     return float("inf")
 
 
-def test_a_file_as_large_as_no_rig_is_answered_without_advice():
+def test_a_very_large_file_is_refused_without_advice():
     with pytest.raises(InvalidInputError, match=r"Invalid value \(at line 4001, column 5\)$"):
         parsed(b"# one more line\n" * 4000 + b"a = b\n")
     with pytest.raises(InvalidInputError, match=r"\(at line 1, column \d+\)$"):
         parsed(b"a = " + b" " * 100_000 + b"b")
 
 
-def test_the_rig_names_the_file(tmp_path):
+def test_errors_name_the_rig_file(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(RIG.replace(SOURCE, r'source = "C:\Users\me\left.mp4"'))
     for load in (Rig.load, Rig.load_cameras):

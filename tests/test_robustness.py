@@ -1,4 +1,4 @@
-"""What a learned background is good for, and that it does no harm once it is wrong."""
+"""Clutter, occluders, wrong templates, distractors, and backgrounds that are no longer valid."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,9 +26,9 @@ from fingerpost.simulate import (
 )
 from fingerpost.simulated_rig_file import rig_from_simulation
 
-# Targets whose waiting templates mostly take something on the cluttered table for a hand first.
+# At most of these targets, a waiting template first mistakes clutter for a hand.
 TARGETS = 6
-# A fifth of a per cent of the plane is what many targets reach on average.
+# The mean over many targets is 0.2 % of the plane, 0.8 mm.
 KNOWN_RMS_MM = 1.2
 TABLE_FRAMES = 30
 FPS = 30.0
@@ -36,14 +36,14 @@ FPS = 30.0
 COVERED_MM = 20.0
 # 0.3 s.
 BACK_FRAMES = 9
-# What is followed in one view alone is doubted first; then a hand is found everywhere.
+# A hand followed in one view only is doubted first; then all views are searched.
 ALONE_AND_FOUND_FRAMES = 32
-# Desks on which a template that waits in either view takes the wood for a finger.
+# Seeds of desks on which a waiting template in either view mistakes the wood for a finger.
 LOCKING_SEEDS = (8, 11, 15)
 
 
 @pytest.mark.parametrize("channels", ["grey", "bgr"])
-def test_known_clutter_is_as_good_as_none(channels):
+def test_known_clutter_does_not_reduce_accuracy(channels):
     options = ExperimentOptions(
         targets=TARGETS,
         background_frames=TABLE_FRAMES,
@@ -66,17 +66,17 @@ def known_clutter(seed: int) -> Bench:
     return Bench(options)
 
 
-def test_a_template_that_is_another_finger_once_shortened_has_settled_on_none():
-    # Too long, it settles on finger and clutter; as long as the finger, it lies elsewhere.
+def test_a_template_that_fits_elsewhere_once_shortened_is_not_accepted():
+    # Too long, the template settles on finger and clutter; once shortened, it fits elsewhere.
     trial = known_clutter(seed=1).trial(3)
     assert trial.point is None or trial.error < COVERED_MM
 
 
 @pytest.mark.parametrize("channels", ["grey", "bgr"])
 @pytest.mark.parametrize("levels", [(20, 235), (110, 230)])
-def test_what_covers_a_hand_in_part_is_no_other_hand(channels, levels):
-    # It was there before the table was known, so that it may be part of that. A grey cover, darker
-    # or brighter than the hand, may look like it in the mixture of colours that shows a hand best.
+def test_a_partly_covered_hand_gives_no_wrong_point(channels, levels):
+    # The hand is present while the background is learned and may become part of it. A grey cover,
+    # darker or brighter than the hand, may resemble it in the discriminant mixture of colours.
     rig = SimulatedRig(sensor=Sensor(channels=channels))
     pose = DevicePose.pointing_at((200.0, 200.0), azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0)
     for seed in range(2):
@@ -93,9 +93,9 @@ def test_what_covers_a_hand_in_part_is_no_other_hand(channels, levels):
                     assert error_mm < COVERED_MM, (seed, k, error_mm)
 
 
-def test_a_disc_over_the_tip_is_no_short_finger():
-    # Before a background that was learned with the hand, the disc alone stands out: a template that
-    # waits beside the hand settles on it, and once shortened on something else altogether.
+def test_a_disc_over_the_tip_is_not_accepted_as_a_short_finger():
+    # The background was learned with the hand, so only the disc stands out: a template that waits
+    # beside the hand settles on it and, once shortened, elsewhere.
     rig = SimulatedRig()
     first, last = (
         DevicePose((u_mm, 163.76, 86.3), azimuth_deg=-48.65, slant_deg=61.81)
@@ -134,7 +134,7 @@ def held_up(at_mm: tuple[float, float] = (200, 200)) -> DevicePose:
 
 
 @pytest.mark.parametrize("seed", LOCKING_SEEDS)
-def test_a_template_that_has_locked_on_to_the_table_tells_nothing(seed):
+def test_a_template_that_fits_the_table_gives_no_fix(seed):
     rig = desk(seed)
     pointer = Pointer(waiting_rig(rig, held_up()))
     rng = np.random.default_rng([0x776F6F64, seed])
@@ -144,7 +144,7 @@ def test_a_template_that_has_locked_on_to_the_table_tells_nothing(seed):
             assert step.fix.status is Status.ACQUIRING, k
 
 
-def test_a_hand_that_has_passed_one_of_the_templates_is_found():
+def test_a_hand_that_appears_away_from_one_template_is_found():
     rig = SimulatedRig()
     pose = held_up()
     first, second = (view.finger for view in rig.truth(pose).views)
@@ -164,8 +164,8 @@ def test_a_hand_that_has_passed_one_of_the_templates_is_found():
     assert np.hypot(*(step.fix.point - shot.truth.indicated_mm)) < COVERED_MM
 
 
-def test_a_hand_is_found_where_one_view_follows_it_and_the_template_of_the_other_waits_elsewhere():
-    # It is there from the first frame on, so that no view sees it come.
+def test_a_hand_followed_in_one_view_is_found_in_the_other():
+    # It is there from the first frame on, so no view observes its arrival.
     rig, pose = SimulatedRig(device=Hand()), held_up()
     first, second = (view.finger.start() for view in rig.truth(pose).views)
     u, v = second.tip_px
@@ -179,7 +179,7 @@ def test_a_hand_is_found_where_one_view_follows_it_and_the_template_of_the_other
     assert np.hypot(*(step.fix.point - pose.indicated_mm)) < COVERED_MM
 
 
-def test_views_that_follow_different_hands_come_to_follow_one():
+def test_views_that_follow_different_hands_switch_to_one():
     rig, poses = SimulatedRig(device=Hand()), (held_up(), held_up((330, 90)))
     starts = [rig.truth(pose).views[k].finger.start() for k, pose in enumerate(poses)]
     pointer = Pointer(rig_from_simulation(rig, starts=starts), pointing_options=PointingOptions())
@@ -192,7 +192,7 @@ def test_views_that_follow_different_hands_come_to_follow_one():
     assert min(np.hypot(*(step.fix.point - pose.indicated_mm)) for pose in poses) < COVERED_MM
 
 
-def test_a_hand_is_found_again_that_a_view_has_left_for_a_print_on_the_table():
+def test_a_hand_is_found_again_after_a_view_has_left_it_for_a_print():
     rig = SimulatedRig(device=Hand())
     first, last, away, on = (
         held_up(at_mm) for at_mm in ((200, 200), (260, 230), (80, 80), (160, 110))
@@ -221,7 +221,7 @@ def test_a_hand_is_found_again_that_a_view_has_left_for_a_print_on_the_table():
 
 
 def outline_px(finger: FingerTruth) -> NDArray[np.float64]:
-    """Where the outline of a finger about 15 px wide is in the picture."""
+    """Outline of a finger 15 px wide in the picture."""
     tip, root, half_width = finger.apex_pictured_px, finger.root_pictured_px, 7.5
     e = (tip - root) / np.hypot(*(tip - root))
     n = np.array([-e[1], e[0]])
@@ -230,8 +230,8 @@ def outline_px(finger: FingerTruth) -> NDArray[np.float64]:
     return np.vstack([root - half_width * n, end, root + half_width * n])
 
 
-def test_a_table_that_looks_like_the_other_view_of_a_hand_is_left_for_it():
-    # In the first view a dark ellipse lies where the finger comes; their lines nearly agree.
+def test_an_ellipse_on_the_table_is_left_for_the_hand():
+    # In the first view a dark ellipse lies where the finger appears; their lines nearly coincide.
     rig = SimulatedRig(background=Background(clutter=50, seed=0))
     pose = DevicePose((450.4, 252.2, 144.8), azimuth_deg=-88.8, slant_deg=64.6)
     pointer = Pointer(waiting_rig(rig, pose), pointing_options=PointingOptions())
@@ -248,13 +248,13 @@ def test_a_table_that_looks_like_the_other_view_of_a_hand_is_left_for_it():
 
 
 def waiting_rig(rig: SimulatedRig, pose: DevicePose) -> Rig:
-    """A rig whose templates wait exactly where a hand is in this pose."""
+    """A rig whose initial templates are exactly at a hand in this pose."""
     fingers = [view.finger for view in rig.truth(pose).views]
     return rig_from_simulation(rig, starts=[finger.start() for finger in fingers])
 
 
 class Session:
-    """A pointer that has seen the table alone, then a hand over it that moves slowly."""
+    """A pointer that is shown an empty table, then a slowly moving hand above it."""
 
     def __init__(self) -> None:
         self.rig = SimulatedRig(background=Background(clutter=50, seed=3))
@@ -275,7 +275,7 @@ class Session:
         hand: bool = True,
         changed: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] = lambda image: image,
     ) -> list[float]:
-        """Show frames; return the errors of the points that were told [mm], NaN without."""
+        """Show frames; return the errors of their points [mm], NaN without a point."""
         errors = []
         for _ in range(frames):
             time_s = self.frame / FPS
@@ -298,7 +298,7 @@ class Session:
 
 
 def shifted(du: float, dv: float) -> Callable[[NDArray[np.uint8]], NDArray[np.uint8]]:
-    """A camera that was bumped: everything is seen elsewhere, references and all."""
+    """The image change of a bumped camera: everything shifts, reference points included."""
     matrix = np.array([[1.0, 0.0, du], [0.0, 1.0, dv]])
 
     def change(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -320,33 +320,33 @@ def session() -> Session:
     return session
 
 
-def test_exposure_may_change(session):
+def test_a_change_of_exposure_is_tolerated(session):
     def darker(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         return np.asarray(np.rint(0.6 * image), np.uint8)
 
     errors = np.array(session.show(14, changed=darker))
     assert session.is_exact == [True, True]
-    # It may take the hand for another one at first.
+    # At first the hand may be taken for another one.
     assert np.isfinite(errors[BACK_FRAMES:]).all()
     assert errors[np.isfinite(errors)].max() < 4 * KNOWN_RMS_MM
 
 
 @pytest.mark.parametrize("shift_px", [(0.5, 0.3), (6.0, -4.0)])
-def test_a_bumped_camera_lets_go_of_what_it_knew(session, shift_px):
-    # The references move with the picture, which the pointer does not know: allow for that.
+def test_a_bumped_camera_discards_its_background_and_learns_another(session, shift_px):
+    # The tolerance includes the shift of the references, which the pointer does not know.
     errors = session.show(6, changed=shifted(*shift_px))
     assert session.is_exact == [False, False]
-    told = np.array(errors)[np.isfinite(errors)]
+    found = np.array(errors)[np.isfinite(errors)]
     allowed_mm = 6.0 * np.hypot(*shift_px) + 10.0
-    assert (told < allowed_mm).all(), told
-    # It will not come back: learned anew.
+    assert (found < allowed_mm).all(), found
+    # The camera stays there, so the background is learned again.
     session.show(60, changed=shifted(*shift_px))
     assert session.is_exact == [True, True]
 
 
 @pytest.mark.parametrize("scale", [0.6, 1.4])
 def test_a_template_of_the_wrong_length_acquires_the_finger(scale):
-    # One that is too long might take the prong for a part of a bent finger.
+    # A template that is too long might take the prong for a part of a bent finger.
     options = ExperimentOptions(
         targets=10,
         start_offset_px=(0.0, 0.0),
@@ -358,14 +358,14 @@ def test_a_template_of_the_wrong_length_acquires_the_finger(scale):
     assert np.sqrt(np.mean([trial.error**2 for trial in trials])) < KNOWN_RMS_MM
 
 
-# By then a template that has moved with it is believed to follow a hand.
+# By then, a template that has moved with the shadow is accepted as following a hand.
 UNCOVERED_FRAME = 28
 
 
 def with_flat_finger(
     image: NDArray[np.uint8], project: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ) -> NDArray[np.uint8]:
-    """Darken what a finger as wide as 18 mm covers that lies on the table, as a shadow does."""
+    """Darken a region of the table as a shadow does: the outline of a finger 18 mm wide."""
     turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 16)
     outline_mm = 9.0 * np.stack([np.cos(turn), np.sin(turn), np.zeros(16)], axis=1)
     back_mm = np.array([[-110.0, 9.0, 0.0], [-110.0, -9.0, 0.0]])
@@ -375,7 +375,7 @@ def with_flat_finger(
     return np.round(image * (1.0 - 0.6 * cv2.GaussianBlur(part, (0, 0), 1.0))).astype(np.uint8)
 
 
-def test_a_shadow_that_a_template_has_followed_is_left_for_the_hand_that_throws_it():
+def test_a_followed_shadow_is_left_for_the_hand():
     rig = SimulatedRig(device=Hand())
     path = Trajectory.hold(held_up(), 0.5).then(
         Trajectory.through([held_up(), held_up((240, 160)), held_up((160, 230))], 0.12)
@@ -383,7 +383,7 @@ def test_a_shadow_that_a_template_has_followed_is_left_for_the_hand_that_throws_
     rng = np.random.default_rng(0x736861646F77)
 
     def dark(camera, time_s):
-        # It moves beside the hand, and points another way.
+        # The shadow moves beside the hand and points in another direction.
         x_mm, y_mm, _ = path.pose_at(time_s).tip_mm
         tip_mm = np.array([x_mm - 30.0, y_mm - 150.0, 0.0])
         turn = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
@@ -405,7 +405,7 @@ def test_a_shadow_that_a_template_has_followed_is_left_for_the_hand_that_throws_
     for k in range(int(path.duration_s * FPS)):
         time_s = k / FPS
         shot = rig.render(path, time_s=time_s, rng=rng)
-        # At first the hand covers it in the other view.
+        # At first the shadow is hidden in the first view.
         covered = [k < UNCOVERED_FRAME, False]
         shadowed = [
             image if is_covered else with_flat_finger(image, dark(camera, time_s))

@@ -1,4 +1,4 @@
-"""What a run says of itself: its status line while it goes, and its summary."""
+"""Output of a run: its status line and its summary."""
 
 import http.server
 import io
@@ -44,7 +44,7 @@ class Screen(io.StringIO):
 
     @property
     def lines(self) -> list[str]:
-        """The lines as they look now: what was written over is gone."""
+        """The lines as they are displayed now."""
         shown = []
         for written in self.getvalue().split("\n"):
             line = ""
@@ -80,7 +80,7 @@ def step(
 
 
 class Shown:
-    """A live status on a terminal, told steps at given times."""
+    """A live status on a terminal, given steps at given times."""
 
     def __init__(self, columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
         self.terminal = Screen(columns, monkeypatch)
@@ -89,9 +89,9 @@ class Shown:
             StatusLine(self.terminal), unit="mm", plane_size=400.0, clock=lambda: self.now_s
         )
 
-    def at(self, now_s: float, told: Step) -> str:
+    def at(self, now_s: float, given: Step) -> str:
         self.now_s = now_s
-        self.status.take(told)
+        self.status.take(given)
         (line,) = self.terminal.lines
         return line
 
@@ -101,10 +101,10 @@ def shown(request, monkeypatch):
     return Shown(request.param, monkeypatch)
 
 
-# --- the line while it goes -------------------------------------------------------------------
+# --- the status line --------------------------------------------------------------------------
 
 
-def test_the_line_tells_states_point_and_rate(shown):
+def test_the_line_shows_states_point_and_rate(shown):
     shown.at(0.0, step(LINE, Status.ACQUIRING))
     line = shown.at(0.5, step(LINE, LINE, point=(201.52, 99.96)))
     assert line.startswith("left tracking    right tracking    X 201.5 ± 1.2   Y 100.0 ± 2.5 mm")
@@ -112,7 +112,7 @@ def test_the_line_tells_states_point_and_rate(shown):
     assert len(line) == shown.status._line.columns
 
 
-def test_a_hand_that_is_lost_leaves_the_last_point_with_its_age(shown):
+def test_after_a_loss_the_last_point_is_shown_with_its_age(shown):
     shown.at(0.0, step(LINE, LINE, point=(201.52, 99.96)))
     line = shown.at(3.0, step(Status.LOST, LINE))
     assert line.startswith(
@@ -125,7 +125,7 @@ def test_before_the_first_point_none_is_shown(shown):
     assert shown.at(0.0, step(Status.ACQUIRING, LINE)).endswith("right tracking    no point yet")
 
 
-def test_what_the_states_of_the_views_do_not_tell_is_said(monkeypatch):
+def test_a_reason_is_shown_where_the_states_do_not_explain_it(monkeypatch):
     shown = Shown(120, monkeypatch)
     why = 'the point lies 12 px behind the finger tip in view "left"'
     refused = step(LINE, LINE, status=Status.ILL_CONDITIONED, reason=why)
@@ -135,36 +135,36 @@ def test_what_the_states_of_the_views_do_not_tell_is_said(monkeypatch):
     assert f"no point for 4 s: {why}" in shown.at(5.0, refused)
 
 
-def test_a_camera_that_has_moved_is_a_state(shown):
+def test_a_moved_camera_is_shown_as_a_state(shown):
     seen = step(LINE, Status.ILL_CONDITIONED)
     seen.observations[1].is_adrift = True
     assert shown.at(0.0, seen).startswith("left tracking    right moved")
 
 
-def test_the_line_changes_ten_times_a_second_and_no_more(shown):
+def test_the_line_changes_at_most_ten_times_a_second(shown):
     for k in range(100):
         shown.at(k / 100, step(LINE, LINE, point=(float(k), 0.0)))
     assert shown.terminal.getvalue().count("\r") == pytest.approx(10, abs=1)
 
 
 @pytest.mark.parametrize("columns", [20, 44, 80])
-def test_views_that_have_no_room_are_counted(monkeypatch, columns):
+def test_states_are_counted_where_the_views_have_no_room(monkeypatch, columns):
     shown = Shown(columns, monkeypatch)
     line = shown.at(0.0, step(LINE, LINE, Status.LOST, LINE, point=(201.52, 99.96)))
     assert line.startswith("3 tracking, 1 lost")
     assert len(line) < columns
 
 
-def test_wide_characters_are_counted_as_they_are_shown(monkeypatch):
+def test_wide_characters_count_as_two_columns(monkeypatch):
     shown = Shown(80, monkeypatch)
-    told = step(LINE, LINE, point=(1.0, 2.0), names=("左のカメラ", "右のカメラ"))
-    assert cell_count(shown.at(0.0, told)) < 80
+    seen = step(LINE, LINE, point=(1.0, 2.0), names=("左のカメラ", "右のカメラ"))
+    assert cell_count(shown.at(0.0, seen)) < 80
     shown.terminal = Screen(8, monkeypatch)
     StatusLine(shown.terminal).show("左のカメラ")
     assert shown.terminal.lines == ["左のカ…"]
 
 
-def test_a_shorter_line_leaves_nothing_of_the_longer(monkeypatch):
+def test_a_shorter_line_erases_the_longer_one(monkeypatch):
     terminal = Screen(80, monkeypatch)
     line = StatusLine(terminal)
     line.show("a long line")
@@ -180,7 +180,7 @@ def test_a_terminal_without_a_size_has_eighty_columns():
     assert stream.getvalue() == "\r" + "x" * 78 + "…"
 
 
-def test_what_is_logged_meanwhile_has_lines_of_its_own(monkeypatch):
+def test_log_messages_have_lines_of_their_own(monkeypatch):
     terminal = Screen(80, monkeypatch)
     monkeypatch.setattr("sys.stderr", terminal)
     handler = logging.StreamHandler(terminal)
@@ -197,7 +197,7 @@ def test_what_is_logged_meanwhile_has_lines_of_its_own(monkeypatch):
     assert handler.filters == []
 
 
-def test_nobody_watches_a_file(monkeypatch):
+def test_a_file_gets_no_status_line(monkeypatch):
     monkeypatch.setattr("sys.stderr", io.StringIO())
     with status_line() as line:
         assert line is None
@@ -245,7 +245,7 @@ def test_a_run_without_reasons_names_none():
     assert summary.lines(1.0) == ["frames   1 in 1.0 s", "ok                   1  100.0 %"]
 
 
-# --- a run as a user meets it -----------------------------------------------------------------
+# --- whole runs -------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -259,7 +259,7 @@ def invoked(*arguments: object):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
-def test_the_summary_and_the_rows_say_why(rig_file):
+def test_summary_and_rows_state_reasons(rig_file):
     said = invoked("run", rig_file).stdout.splitlines()
     reasons = said[said.index("reasons") + 1 :]
     assert any('view "left" is acquiring' in line for line in reasons)
@@ -284,18 +284,18 @@ def with_covariances(text: str, views: int) -> str:
     return re.sub(r"(source = .*)", rf"\1\n{given}", text, count=views)
 
 
-def test_noise_that_no_reference_point_would_have_is_refused(rig_file):
-    told = rig_file.with_name("told.toml")
-    told.write_text(with_covariances(rig_file.read_text(), 2))
-    done = invoked("run", told, "--reference-noise", 0.3)
+def test_reference_noise_without_effect_is_refused(rig_file):
+    given = rig_file.with_name("given.toml")
+    given.write_text(with_covariances(rig_file.read_text(), 2))
+    done = invoked("run", given, "--reference-noise", 0.3)
     assert done.exit_code == 2
     assert "--reference-noise would do nothing" in done.stderr
-    told.write_text(with_covariances(rig_file.read_text(), 1))
-    assert invoked("run", told, "--reference-noise", 0.3).exit_code == 0
+    given.write_text(with_covariances(rig_file.read_text(), 1))
+    assert invoked("run", given, "--reference-noise", 0.3).exit_code == 0
 
 
 @pytest.mark.parametrize("number", ["nan", "-1", "0", "1e9"])
-def test_noise_that_cannot_be_is_refused(rig_file, number):
+def test_invalid_reference_noise_is_refused(rig_file, number):
     done = invoked("run", rig_file, "--reference-noise", number)
     assert (done.exit_code, done.stdout) == (2, "")
     assert f"reference_sigma_px is {float(number)}; from 1e-06 to 1e+06 is right" in done.stderr
@@ -368,7 +368,7 @@ def test_a_live_run_shows_its_state_and_sums_up_on_ctrl_c(live_rig):
     assert rest.split()[-2:] == ["fingerpost:", "stopped"]
 
 
-def test_the_bar_ends_its_line_before_the_summary_of_what_was_interrupted(rig_file, monkeypatch):
+def test_the_bar_ends_before_the_summary_of_an_interrupted_run(rig_file, monkeypatch):
     order = []
 
     def bar(frames, *_):
@@ -391,7 +391,7 @@ def test_the_bar_ends_its_line_before_the_summary_of_what_was_interrupted(rig_fi
     assert done.stdout.startswith("frames   1 in ")
 
 
-def test_a_recording_has_a_bar_and_rows_for_a_program_stand_alone(rig_file):
+def test_a_recording_has_a_bar_and_json_rows_have_none(rig_file):
     with on_a_terminal("run", rig_file) as run:
         assert "tracking  [" in run.read_until(THE_END)
         code, summary = run.end()

@@ -1,4 +1,4 @@
-"""Recordings (MCAP): they hold what was seen, replay to the same bits, and outlive what happens."""
+"""Recordings (MCAP): contents, replay to the same bits, export, and failures."""
 
 import dataclasses
 import itertools
@@ -70,7 +70,7 @@ def about(*views: str, is_live: bool = False) -> About:
     return About(version="1", views=views, sources=views, started="", unit="mm", is_live=is_live)
 
 
-# --- what stands in it ------------------------------------------------------------------------
+# --- contents --------------------------------------------------------------------------------
 
 
 def test_another_library_reads_standard_messages(recording, rig_file):
@@ -94,15 +94,15 @@ def test_another_library_reads_standard_messages(recording, rig_file):
     assert found["/fix", "fingerpost.PointRow"][-1]["status"] == "ok"
 
 
-def test_annotations_lie_where_the_hand_is_counted_from_the_corner(recording, rig_file):
+def test_annotations_are_at_the_hand_in_pixels_from_the_corner(recording, rig_file):
     rig = Rig.load(rig_file)
     pointer = Pointer(rig)
     with open_views(rig.sources) as sources:
         *_, last = steps(pointer, read_views(sources))
     drawn = [m for topic, *_, m in messages(recording) if topic == "/left/annotations"][-1]
     contour = max(drawn.points, key=lambda part: (part.type == part.LINE_LOOP) * len(part.points))
-    told = np.array([[point.x, point.y] for point in contour.points])
-    np.testing.assert_allclose(told, last.observations[0].contour_px + 0.5, atol=1 / 64)
+    annotated = np.array([[point.x, point.y] for point in contour.points])
+    np.testing.assert_allclose(annotated, last.observations[0].contour_px + 0.5, atol=1 / 64)
 
 
 def test_the_rig_in_a_recording_has_its_views(recording):
@@ -146,7 +146,7 @@ def test_pictures_and_times_are_recorded_as_they_were_used(rig_file, tmp_path):
     assert Rig.load(recording).views[0].rotate_deg == 0
 
 
-def test_what_was_recorded_alone_replays_as_its_run_would(recording, rig_file, tmp_path):
+def test_a_recording_without_tracking_replays_as_a_run(recording, rig_file, tmp_path):
     done = invoked("record", rig_file, tmp_path / "r.mcap")
     assert done.exit_code == 0, done.output
     assert f"{FRAMES} frames of each view" in done.stdout
@@ -169,7 +169,7 @@ def test_a_session_on_the_page_replays_as_it_was_shown(recording, rig_file, tmp_
         assert table.read_bytes() == recording.with_name(of_run).read_bytes()
 
 
-def test_other_options_stand_beside_the_recorded_fixes(recording, tmp_path):
+def test_fixes_with_other_options_are_compared_with_the_recorded_ones(recording, tmp_path):
     table = tmp_path / "b.csv"
     done = invoked("replay", recording, "--model", "paper", "--beside", table)
     assert done.exit_code == 0, done.output
@@ -191,7 +191,7 @@ def test_options_of_the_tracker_are_set_by_name(recording):
     assert "differ from the recorded" in done.stdout
 
 
-def test_steps_come_as_they_came_whatever_their_times_say(tmp_path):
+def test_steps_are_replayed_in_order_whatever_their_times(tmp_path):
     picture = np.zeros((4, 6, 3), np.uint8)
     together = [
         (Frame(0, 0.0, picture), None),
@@ -279,20 +279,20 @@ def test_an_exported_video_shows_every_step_at_its_time(recording, rig_file, tmp
     shown, views = frames[-1].image, np.hstack(plain)
     assert shown.shape == views.shape
     differs = np.abs(shown.astype(int) - views).max(axis=2) > 90
-    assert 0.002 < differs.mean() < 0.1  # lines and words, and nothing else
+    assert 0.002 < differs.mean() < 0.1  # only lines and words
 
 
-# --- what happens to it -----------------------------------------------------------------------
+# --- failures --------------------------------------------------------------------------------
 
 
-def test_a_recording_replaces_no_file(rig_file, recording):
+def test_a_recording_overwrites_no_file(rig_file, recording):
     before = recording.read_bytes()
     assert "is there already" in refused("record", rig_file, recording)
     assert recording.read_bytes() == before
     assert "ends in .mcap" in refused("run", rig_file, "--record", recording.with_suffix(".avi"))
 
 
-def test_what_is_refused_from_the_first_frame_on_leaves_no_recording(rig_file, tmp_path):
+def test_a_run_refused_at_its_first_frame_leaves_no_recording(rig_file, tmp_path):
     wrong = rig_file.with_name("wrong.toml")
     wrong.write_text(re.sub(r"size_px = .*", "size_px = [99, 99]", rig_file.read_text()))
     for command in (["run", wrong, "--record"], ["record", wrong]):
@@ -314,7 +314,7 @@ def test_without_the_extra_one_line_says_how_to_install_it(recording, rig_file, 
 
 
 class Held:
-    """An array that is encoded when it may be: a recorder that is as slow as a test wants."""
+    """An encoder that blocks until it is released."""
 
     def __init__(self) -> None:
         self.may_go = threading.Event()
@@ -326,7 +326,7 @@ class Held:
         return b"\xff\xd8\xff"
 
 
-def test_live_frames_are_dropped_rather_than_waited_for(tmp_path, monkeypatch, caplog):
+def test_live_frames_are_dropped_if_the_recorder_is_slow(tmp_path, monkeypatch, caplog):
     held = Held()
     monkeypatch.setattr("fingerpost.recording.session.recorder._encoded", held.encode)
     picture = np.zeros((4, 6), np.uint8)
@@ -373,7 +373,7 @@ def test_ctrl_c_leaves_a_whole_recording(tmp_path):
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /dev/full's error")
-def test_a_full_disk_is_told_when_it_happens(rig_file, tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_at_once(rig_file, tmp_path, monkeypatch):
     def full(_descriptor):
         raise OSError(28, "No space left on device")
 
@@ -391,7 +391,7 @@ def test_a_full_disk_is_told_when_it_happens(rig_file, tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows keeps open files")
-def test_a_recording_that_vanishes_is_told(tmp_path):
+def test_a_removed_recording_is_reported(tmp_path):
     folder = tmp_path / "gone"
     folder.mkdir()
     recorder = Recorder(folder / "s.mcap", about("a"), "", [None], images=Images.PNG)
@@ -403,8 +403,8 @@ def test_a_recording_that_vanishes_is_told(tmp_path):
             pass
 
 
-def test_what_waits_is_written_within_the_second(tmp_path):
-    """By the recorder's own clock: an entry that comes when a flush is due is flushed at once."""
+def test_buffered_entries_are_written_within_a_second(tmp_path):
+    """By the recorder's clock, an entry that arrives when a flush is due is flushed at once."""
     clock = itertools.chain([0.0, 0.1, 0.6], itertools.repeat(0.6))
     path = tmp_path / "s.mcap"
     recorder = Recorder(path, about("a"), "", [None], images=Images.PNG, clock=lambda: next(clock))

@@ -1,4 +1,4 @@
-"""Lines, areas, marks and words land where they should, from anywhere, and nothing else does."""
+"""Lines, areas, marks and text are drawn in their places only, for any input."""
 
 import math
 from itertools import pairwise
@@ -19,12 +19,12 @@ WIDTH, HEIGHT = 60, 40
 COLUMNS, ROWS = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
 PIXELS = np.stack([COLUMNS, ROWS], axis=-1).astype(float)
 
-# OpenCV's filter softens an edge, faintly, as far out as this [px].
+# Distance up to which OpenCV's filter blurs an edge [px].
 SOFT_PX = 2.4
-# A cased line is so much wider than its inside.
+# Width of the casing on each side of a line [px].
 CASING_PX = 1.0
 
-# Near the sheet, on its border, and anywhere at all.
+# Near the sheet, around its border, and far away.
 COORDINATE = st.one_of(
     st.floats(-20.0, 80.0),
     st.sampled_from([-8.0, 0.0, HEIGHT + 8.0, WIDTH + 8.0]),
@@ -52,7 +52,7 @@ def distance_to_segment(a, b) -> np.ndarray:
 
 
 @given(st.tuples(*[COORDINATE] * 4))
-def test_a_line_is_drawn_where_it_is(ends):
+def test_a_line_is_drawn_between_its_ends(ends):
     a, b = np.array(ends[:2]), np.array(ends[2:])
     sheet = blank()
     sheet.line(np.array([a, b]), COLOUR, 2)
@@ -63,7 +63,7 @@ def test_a_line_is_drawn_where_it_is(ends):
 
 
 @given(st.lists(st.tuples(ANYTHING, ANYTHING), max_size=8), st.booleans())
-def test_a_line_through_anything_is_all_its_segments_or_none(points, cased):
+def test_a_polyline_is_drawn_along_its_finite_segments_only(points, cased):
     sheet = blank()
     sheet.line(np.array(points).reshape(-1, 2), COLOUR, 2, cased=cased)
     allowed = np.zeros((HEIGHT, WIDTH), bool)
@@ -73,7 +73,7 @@ def test_a_line_through_anything_is_all_its_segments_or_none(points, cased):
     assert not (drawn(sheet) & ~allowed).any()
 
 
-def test_a_line_lies_between_pixels_too():
+def test_a_line_has_sub_pixel_precision():
     rows = []
     for row in np.arange(10.0, 11.01, 0.125):
         sheet = blank()
@@ -92,7 +92,7 @@ def test_nan_breaks_a_line():
 
 
 @pytest.mark.parametrize(("dash", "gap"), [(6.0, 4.0), (3.0, 9.0)])
-def test_dashes_have_their_share(dash, gap):
+def test_dashes_have_their_period_and_share(dash, gap):
     sheet = Sheet.blank((1200, 9), GROUND)
     sheet.line(np.array([[0.0, 4.0], [1199.0, 4.0]]), COLOUR, 1, dash=(dash, gap))
     on = drawn(sheet)[4]
@@ -128,14 +128,14 @@ def test_an_area_is_the_inside_of_its_polygon(corners):
 
 
 @given(st.lists(st.tuples(ANYTHING, ANYTHING), max_size=6))
-def test_an_area_with_a_corner_nowhere_is_not_drawn(corners):
+def test_an_area_with_a_nan_corner_is_not_drawn(corners):
     corners = [*corners, (math.nan, 3.0)]
     sheet = blank()
     sheet.area(np.array(corners), COLOUR)
     assert not drawn(sheet).any()
 
 
-def test_opacity_mixes():
+def test_opacity_mixes_colours():
     sheet = blank()
     sheet.area(np.array([[-9.0, -9.0], [99.0, -9.0], [99.0, 99.0], [-9.0, 99.0]]), COLOUR, 0.25)
     expected = 0.25 * np.array(COLOUR) + 0.75 * np.array(GROUND)
@@ -143,7 +143,7 @@ def test_opacity_mixes():
 
 
 @given(ANYTHING, ANYTHING)
-def test_marks_are_where_they_are_put_or_nowhere(x, y):
+def test_marks_are_drawn_in_their_place_or_not_at_all(x, y):
     place = np.array([x, y])
     dot, cross = blank(), blank()
     dot.dot(place, 4.0, COLOUR)
@@ -165,7 +165,7 @@ def test_marks_are_where_they_are_put_or_nowhere(x, y):
 
 @pytest.mark.parametrize("given_px", [(64, 48), (30, 90), (9, 7), (1280, 960)])
 @pytest.mark.parametrize("sheet_px", [(320, 240), (200, 300)])
-def test_pixels_of_an_image_stay_where_they_are_in_it(given_px, sheet_px):
+def test_places_on_an_image_are_given_in_its_pixels(given_px, sheet_px):
     width, height = given_px
     mark = np.array([width // 3, height // 2])
     image = np.zeros((height, width), np.uint8)
@@ -182,14 +182,14 @@ def test_pixels_of_an_image_stay_where_they_are_in_it(given_px, sheet_px):
     assert np.allclose(sheet.corners(), [[-0.5, -0.5], np.array(given_px) - 0.5], atol=200 / scale)
 
 
-def test_an_image_is_as_large_as_fits_and_in_the_middle():
+def test_an_image_is_scaled_to_fit_and_centred():
     sheet = Sheet.blank((100, 80), GROUND).with_image(np.full((10, 25, 3), COLOUR, np.uint8))
     rows, columns = np.nonzero(drawn(sheet))
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (20, 59, 0, 99)
     assert (sheet.pixels[20:60] == COLOUR).all()
 
 
-def test_a_part_of_an_image_is_drawn_on_in_pixels_of_the_whole():
+def test_places_on_a_part_of_an_image_are_given_in_pixels_of_the_whole():
     image = np.zeros((90, 120), np.uint8)
     image[50, 70] = 255
     sheet = Sheet.blank((80, 80), GROUND).with_image(image[40:60, 60:80], (60, 40))
@@ -210,7 +210,7 @@ def test_a_part_of_an_image_is_drawn_on_in_pixels_of_the_whole():
         np.zeros(4, np.uint8),
     ],
 )
-def test_what_is_no_image_is_refused(image):
+def test_invalid_images_are_refused(image):
     with pytest.raises(InvalidInputError, match="uint8 is needed"):
         blank().with_image(image)
 
@@ -226,7 +226,7 @@ def test_a_sheet_without_a_sensible_size_is_refused(size):
 
 @pytest.fixture(params=["typeface", "stroke letters"])
 def lettering(request, monkeypatch):
-    """Both kinds of letters, whatever OpenCV this is."""
+    """Both kinds of letters, if this OpenCV has them."""
     if request.param == "typeface" and not hasattr(cv2, "FontFace"):
         pytest.skip("this OpenCV has no typeface")
     if request.param == "stroke letters":
@@ -235,7 +235,7 @@ def lettering(request, monkeypatch):
 
 @pytest.mark.usefixtures("lettering")
 @pytest.mark.parametrize("anchor", [0.0, 0.5, 1.0])
-def test_words_stand_at_their_anchor(anchor):
+def test_text_is_aligned_at_its_anchor(anchor):
     sheet = Sheet.blank((800, 60), GROUND)
     begin, end = sheet.text("X 12.3 ± 0.4 mm", (400.0, 40.0), 20, COLOUR, anchor=anchor)
     assert begin == pytest.approx(400.0 - anchor * (end - begin))
@@ -248,7 +248,7 @@ def test_words_stand_at_their_anchor(anchor):
 
 @pytest.mark.usefixtures("lettering")
 @pytest.mark.parametrize("bold", [False, True])
-def test_words_are_cut_to_the_room_there_is(bold):
+def test_text_is_truncated_to_its_room(bold):
     words = "the standard deviation along the constraint lines is too large"
     _, whole = blank().text(words, (0.0, 30.0), 20, COLOUR, bold=bold)
     widths = []
@@ -264,7 +264,7 @@ def test_words_are_cut_to_the_room_there_is(bold):
 @pytest.mark.usefixtures("lettering")
 @settings(max_examples=50)
 @given(st.text(max_size=30), ANYTHING, ANYTHING, st.integers(1, 60))
-def test_any_words_can_be_written_anywhere(words, x, y, height):
+def test_any_text_can_be_written_anywhere(words, x, y, height):
     begin, end = blank().text(words, (x, y), height, COLOUR)
     assert (begin <= end) or math.isnan(begin)
 

@@ -1,4 +1,4 @@
-"""Bodies above the plane in the image, against the simulated camera's own matrix."""
+"""Images of bodies above the plane, compared with the simulated camera's own matrix."""
 
 import math
 
@@ -20,7 +20,7 @@ def viewpoint() -> Viewpoint:
     return Viewpoint.of(view, (CAMERA.width_px, CAMERA.height_px))
 
 
-def test_the_camera_matrix_is_that_of_the_camera():
+def test_the_camera_matrix_projects_as_the_camera_does():
     one = viewpoint()
     matrix = image_from_space(one.plane_view.image_from_plane, one.centre)
     points = np.random.default_rng(1).uniform([0, 0, 0], [400, 400, 300], (50, 3))
@@ -29,7 +29,7 @@ def test_the_camera_matrix_is_that_of_the_camera():
     np.testing.assert_allclose(image[:, :2] / image[:, 2:], CAMERA.project(points), atol=1e-6)
 
 
-def test_a_capsule_covers_what_is_within_it_and_nothing_far_from_it():
+def test_a_capsule_covers_its_inside_and_nothing_outside():
     one = viewpoint()
     capsule = Capsule((100.0, 150.0, 20.0), (250.0, 200.0, 180.0), 30.0)
     silhouette = one.silhouette([capsule])
@@ -40,7 +40,7 @@ def test_a_capsule_covers_what_is_within_it_and_nothing_far_from_it():
     axis = start + rng.uniform(size=(2000, 1)) * (end - start)
     inside = axis + 0.95 * capsule.radius * rng.uniform(size=(2000, 1)) * directions
     assert silhouette.covers(CAMERA.project(inside)).all()
-    # Whose line of sight passes the axis at more than the radius is not covered.
+    # Pixels whose rays pass the axis at more than the radius are not covered.
     pixels = rng.uniform([0, 0], [CAMERA.width_px, CAMERA.height_px], (2000, 2))
     rays = one.plane_view.back_project(pixels)
     feet = np.pad(rays, ((0, 0), (0, 1)))
@@ -58,14 +58,14 @@ def _gap(p: np.ndarray, foot: np.ndarray, start: np.ndarray, end: np.ndarray) ->
     return float(np.linalg.norm(points - p - along * direction, axis=1).min())
 
 
-def test_what_is_behind_the_camera_has_no_image():
+def test_bodies_behind_the_camera_have_no_image():
     one = viewpoint()
     behind = one.centre + (one.centre - [200.0, 200.0, 0.0])
     point = tuple(behind.tolist())
     assert len(one.silhouette([Capsule(point, point, 10.0)]).radii_px) == 0
 
 
-def test_where_the_camera_is_not_known_nothing_is_covered():
+def test_an_unknown_camera_covers_nothing():
     matrix = np.full((3, 4), np.nan)
     capsule = Capsule((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0)
     silhouette = Silhouette.of([capsule], matrix, np.full(3, np.nan))
@@ -81,7 +81,7 @@ def test_the_distance_from_a_segment(point, distance):
     assert capsule.distance(np.array(point)) == pytest.approx(distance)
 
 
-def test_a_point_is_a_capsule_too():
+def test_a_capsule_may_be_a_sphere():
     capsule = Capsule((1.0, 2.0, 3.0), (1.0, 2.0, 3.0), 2.0)
     assert capsule.spheres().tolist() == [[1.0, 2.0, 3.0, 2.0]]
     assert capsule.distance(np.array([1.0, 2.0, 7.0])) == pytest.approx(4.0)

@@ -1,4 +1,4 @@
-"""The simulated rig against geometry worked out another way, and against its own promises."""
+"""The simulated rig, compared with independent geometry and with its documentation."""
 
 import dataclasses
 import doctest
@@ -48,7 +48,7 @@ from fingerpost.simulate.coverage import polygon_coverage
 from fingerpost.simulate.occlusion import visible_contour
 from fingerpost.simulate.outline import ARC_STEPS, NEAR_MM, link_outlines, seen_links
 
-# Where an edge may lie in a noise-free picture, and the angle of 0.002 px over half a flank.
+# Tolerated error of an edge in a noise-free picture, and its angle over half a flank of 60 px.
 EDGE_TOLERANCE_PX = 0.002
 EDGE_TOLERANCE_RAD = EDGE_TOLERANCE_PX / 30
 
@@ -83,14 +83,14 @@ def test_the_papers_rig() -> None:
     assert offsets[0][0] < 0 < offsets[1][0]
 
 
-def test_webcams_stand_close() -> None:
+def test_webcams_are_close_to_the_plane() -> None:
     camera, _ = Placement.webcams().cameras(Workspace())
     assert camera.f_px == 622
     assert np.linalg.norm(camera.centre_mm - [200, 200, 0]) == pytest.approx(750)
 
 
 @pytest.mark.parametrize("k1", [-0.3, -0.1, 0.0, 0.2])
-def test_projection_through_the_lens_is_opencvs(k1: float) -> None:
+def test_projection_through_the_lens_agrees_with_opencv(k1: float) -> None:
     camera = Placement(distance_m=0.75, f_px=622.0, k1=(k1,)).cameras(Workspace())[0]
     rng = seeded(f"lens{k1}")
     points = rng.uniform((-100, -100, 0), (500, 500, 250), (200, 3))
@@ -112,7 +112,7 @@ def test_projection_through_the_lens_is_opencvs(k1: float) -> None:
     u=st.floats(-20, 660),
     v=st.floats(-20, 500),
 )
-def test_ideal_undoes_pictured(k1: float, u: float, v: float) -> None:
+def test_ideal_inverts_pictured(k1: float, u: float, v: float) -> None:
     camera = Placement(distance_m=0.75, f_px=622.0, k1=(k1,)).cameras(Workspace())[0]
     np.testing.assert_allclose(camera.pictured(camera.ideal((u, v))), (u, v), atol=1e-9)
 
@@ -171,7 +171,7 @@ def test_outline_touches_the_swept_sphere_everywhere(link: tuple[float, ...]) ->
     spheres = np.array([[[x, y, z, r0]], [[x + dx, y + dy, z + dz, r1]]])
     points = link_outlines(spheres).points[0]
     rays = points / np.linalg.norm(points, axis=1, keepdims=True)
-    # Independent of any construction: how far outside every sphere of the sweep does a ray pass?
+    # Independent of the construction: the gap between a ray and the nearest sphere of the sweep.
     part = np.linspace(0, 1, 2001)[:, None]
     sweep = spheres[0] + part * (spheres[1] - spheres[0])
     along = rays @ sweep[:, :3].T
@@ -202,7 +202,7 @@ def test_the_axis_plane_bisects_the_tangent_planes(link: tuple[float, ...]) -> N
     # Each flank's plane touches both spheres, on opposite sides of the axis …
     np.testing.assert_allclose(np.abs(sines), [[r0, r1]] * 2, atol=1e-6)
     assert (sines[0] * sines[1] < 0).all()
-    # … and the axis plane is as far from the one as from the other.
+    # … and the axis plane makes the same angle with both.
     cosines = normals @ axis_normal
     assert abs(cosines[0]) == pytest.approx(abs(cosines[1]), abs=1e-9)
     # The apex lies in the axis plane, on the surface of the end sphere's tangent cone.
@@ -393,7 +393,7 @@ def test_axis_lines_of_two_views_meet_at_the_indicated_point(k1: float) -> None:
             back_projected(camera, line_of(view.finger.axis_point_px, view.finger.axis_angle_rad))
             for camera, view in zip(rig.cameras, truth.views, strict=True)
         ]
-        # Two planes and the table meet in one point, with no word of poses.
+        # The two planes and the table intersect in one point; poses are not used.
         point = np.linalg.solve(
             np.stack([*[plane[:3] for plane in planes], [0, 0, 1]]),
             [-planes[0][3], -planes[1][3], 0],
@@ -428,7 +428,7 @@ def test_axis_is_midway_between_the_flanks() -> None:
                 ]
                 sine = np.linalg.norm(np.cross(bisector / np.linalg.norm(bisector), axis))
                 assert sine < 1e-11
-                # In the image of a long lens that is the bisector of the two lines, nearly.
+                # In the image of a long lens it is nearly the bisector of the two lines.
                 directions = np.diff(finger.flanks_px, axis=1)[:, 0]
                 directions /= np.linalg.norm(directions, axis=1, keepdims=True)
                 middle = math.atan2(*directions.sum(axis=0)[::-1])
@@ -440,7 +440,7 @@ def test_axis_is_midway_between_the_flanks() -> None:
 
 
 @pytest.mark.parametrize("device", [RodAndProng(), Hand(), Hand(side="left")])
-def test_thumb_side_is_where_the_picture_shows_it(device: RodAndProng | Hand) -> None:
+def test_thumb_side_is_that_of_the_picture(device: RodAndProng | Hand) -> None:
     rig = SimulatedRig(device=device, sensor=CLEAN)
     if isinstance(device, RodAndProng):
         without = dataclasses.replace(device, prong_length_mm=0)
@@ -479,7 +479,7 @@ def test_apex_and_length_match_the_picture() -> None:
         e = np.array([math.cos(finger.axis_angle_rad), math.sin(finger.axis_angle_rad)])
         along = np.stack([u, v], -1) @ e
         assert along.max() == pytest.approx(finger.apex_px @ e, abs=0.6)
-        # The rod's base is a sphere of half its width behind where the finger begins.
+        # The rod's base is a sphere, which reaches half its width beyond the finger's start.
         radius_px = np.linalg.norm(finger.flanks_px[1, 0] - finger.flanks_px[0, 0]) / 2
         assert np.ptp(along) == pytest.approx(finger.length_px + radius_px, abs=1.5)
 
@@ -550,7 +550,7 @@ EDGE_POSES = [
 
 @pytest.mark.parametrize("blur", [0.7, 1.0, 1.5])
 @pytest.mark.parametrize("k1", [0.0, -0.2])
-def test_edges_lie_where_the_silhouette_is(blur: float, k1: float) -> None:
+def test_edges_are_at_the_silhouette(blur: float, k1: float) -> None:
     rig = SimulatedRig(Placement(k1=(k1,)), device=ROD, sensor=Sensor(blur_px=blur, noise=0))
     for pose in EDGE_POSES:
         frame = rig.render(pose, quantise=False)
@@ -614,7 +614,7 @@ def test_mirrored_noise_has_the_other_sign() -> None:
         assert (one - other).std() == pytest.approx(6, rel=0.02)
 
 
-def test_noise_is_white_normal_and_as_strong_as_asked() -> None:
+def test_noise_is_white_and_normal_with_the_given_sigma() -> None:
     rig = SimulatedRig(sensor=Sensor(noise=3.0))
     rng = seeded("noise")
     frames = np.stack([rig.render(None, rng=rng, quantise=False).images for _ in range(4)])
@@ -648,7 +648,7 @@ def test_the_same_seed_gives_the_same_bits() -> None:
         )
 
     first, second = rig(), rig()
-    second.render(EDGE_POSES[1], rng=99)  # what was rendered before does not matter
+    second.render(EDGE_POSES[1], rng=99)  # earlier renderings have no effect
     for a, b in zip(
         first.render(POSE, rng=7).images, second.render(POSE, rng=7).images, strict=True
     ):
@@ -857,13 +857,13 @@ def test_visible_contour_lies_on_the_edge_of_the_picture() -> None:
     image = rig.render(POSE, quantise=False).images[0]
     contour, width = visible_contour(rig.cameras[0], rig.device.body, POSE)
     levels = map_coordinates(image, contour.T[::-1], order=1)
-    # On a straight edge the level is half way; round the tip and in the crotch it strays.
+    # On a straight edge the level is half way; at the tip and in the crotch it deviates.
     assert np.median(levels) == pytest.approx(110, abs=1)
     assert (np.abs(levels - 110) < 12).mean() > 0.9
     assert width == pytest.approx(16 * 0.85, rel=0.15)
 
 
-def test_another_hand_leaves_the_truth_alone() -> None:
+def test_another_hand_does_not_change_the_truth() -> None:
     rig = SimulatedRig(sensor=CLEAN)
     other = DevicePose.pointing_at((330, 80), hover_mm=60, azimuth_deg=-70)
     alone, together = rig.render(POSE), rig.render(POSE, others=[(Hand(side="left"), other)])
@@ -920,14 +920,14 @@ def test_equal_ends_fix_a_value() -> None:
 def test_a_finger_seen_end_on_is_refused_from_either_end(slant: float) -> None:
     rig = SimulatedRig(Placement(azimuths_deg=(0.0,)))
     azimuth = 180.0 if slant > 0 else 0.0  # along the view ray, away from the camera or towards it
-    aside = DevicePose((200.0, 200.0, 60.0), 60.0, slant)
+    oblique = DevicePose((200.0, 200.0, 60.0), 60.0, slant)
     end_on = DevicePose((200.0, 200.0, 60.0), azimuth, slant)
-    assert PoseSampler(rig).accepts(aside)
+    assert PoseSampler(rig).accepts(oblique)
     assert not PoseSampler(rig).accepts(end_on)
     assert PoseSampler(rig, PoseLimits(view_ray_deg=0)).accepts(end_on)
 
 
-def test_poses_that_nobody_can_see_are_refused() -> None:
+def test_poses_outside_the_pictures_are_refused() -> None:
     sampler = PoseSampler(SimulatedRig(), PoseLimits(border_px=400))
     with pytest.raises(InvalidInputError, match="none of 5000 poses"):
         sampler.draw(1)
@@ -942,14 +942,14 @@ def test_trajectory_passes_through_its_poses_at_its_speed() -> None:
     times = np.arange(0, path.duration_s, 1e-3)
     tips = np.array([path.pose_at(t).tip_mm for t in times])
     speed = np.linalg.norm(np.diff(tips, axis=0), axis=1)  # mm per ms is m/s
-    steady = (times[:-1] > 0.101) & (times[:-1] < path.duration_s - 0.102)
-    np.testing.assert_allclose(speed[steady], 0.35, rtol=2e-3)
+    is_cruising = (times[:-1] > 0.101) & (times[:-1] < path.duration_s - 0.102)
+    np.testing.assert_allclose(speed[is_cruising], 0.35, rtol=2e-3)
     assert speed[0] < 0.01
     for pose in poses:
         assert np.linalg.norm(tips - pose.tip_mm, axis=1).min() < 0.3
     np.testing.assert_allclose(path.pose_at(-5).tip_mm, poses[0].tip_mm)
     np.testing.assert_allclose(path.pose_at(1e4).tip_mm, poses[-1].tip_mm)
-    turn = np.diff(tips, 2, axis=0)[steady[1:]]
+    turn = np.diff(tips, 2, axis=0)[is_cruising[1:]]
     assert np.abs(turn).max() < 0.02  # no corner anywhere: under 20 m/s²
 
 
@@ -991,7 +991,7 @@ def test_joined_trajectories_must_meet() -> None:
     assert hold.then(hold).duration_s == 2.0
 
 
-def test_the_way_between_two_poses_is_straight_and_even() -> None:
+def test_the_motion_between_two_poses_is_straight_and_uniform() -> None:
     first = DevicePose((10.0, 20.0, 30.0), -170.0, 25.0, 5.0)
     last = DevicePose((50.0, 20.0, 110.0), 170.0, 65.0, -5.0)
     way = Trajectory.between(first, last, 2.0)
@@ -1184,7 +1184,7 @@ def test_bad_recordings_are_refused(tmp_path: Path) -> None:
         write_recording(blocked, rig, POSE, frames=1)
 
 
-def test_the_documented_example_holds() -> None:
+def test_the_documented_example_runs() -> None:
     result = doctest.testmod(fingerpost.simulate.rig)
     assert result.attempted >= 4
     assert result.failed == 0

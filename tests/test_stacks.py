@@ -1,4 +1,4 @@
-"""Files of many pictures: all of them come, with the times of the animation, in 8 bits."""
+"""Files of several pictures: all are read, at the animation's times and in 8 bits."""
 
 import struct
 from pathlib import Path
@@ -14,7 +14,7 @@ from fingerpost.capture.opening import STILL_FRAMES
 from fingerpost.errors import SourceError
 
 DURATIONS_MS = [40] * 20 + [100] * 20 + [0]
-# Of a picture in few colours, or compressed with losses.
+# Mean error of a picture in few colours or with lossy compression.
 LOSSY_LEVELS = 40
 
 
@@ -24,7 +24,7 @@ def read(path: Path) -> list[Frame | Loss]:
 
 
 @pytest.mark.parametrize("suffix", ["gif", "png", "webp"])
-def test_an_animation_gives_all_its_pictures_when_they_are_shown(tmp_path, suffix):
+def test_an_animation_gives_all_its_pictures_at_their_times(tmp_path, suffix):
     animation = cv2.Animation()
     animation.frames = textured(len(DURATIONS_MS))
     animation.durations = DURATIONS_MS
@@ -42,7 +42,7 @@ def test_an_animation_gives_all_its_pictures_when_they_are_shown(tmp_path, suffi
 
 
 def number_of(picture: np.ndarray) -> int:
-    """Where the bright square begins."""
+    """First column of the bright square."""
     return int(np.argmax((picture[50, :, :3] > 190).all(axis=1)))
 
 
@@ -55,7 +55,7 @@ def test_a_tiff_gives_all_its_pages(tmp_path):
         np.testing.assert_array_equal(frame.image, picture)
 
 
-def test_an_animation_that_is_damaged_is_named_or_loses_pictures(tmp_path):
+def test_a_damaged_animation_loses_pictures_or_is_refused_by_name(tmp_path):
     animation = cv2.Animation()
     animation.frames, animation.durations = textured(6), [40] * 6
     path = tmp_path / "a.gif"
@@ -64,7 +64,7 @@ def test_an_animation_that_is_damaged_is_named_or_loses_pictures(tmp_path):
     middle = len(data) * 2 // 3
     path.write_bytes(data[:middle] + bytes(50) + data[middle + 50 :])
     seen = read(path)
-    # What follows is told as changes to what came before.
+    # Later pictures are stored as changes to earlier ones.
     assert [type(entry) for entry in seen] == [Frame] * 3 + [Loss] * 3
     path.write_bytes(data[:middle])
     with pytest.raises(SourceError, match=r"a\.gif: cannot be decoded: damaged, cut off, or not"):
@@ -77,7 +77,7 @@ def jpeg(picture: np.ndarray, segment: bytes = b"") -> bytes:
 
 
 @pytest.mark.parametrize("name", ["a.mjpeg", "a.mjpg", "a.jpg"])
-def test_jpegs_one_after_the_other_are_a_film(tmp_path, name):
+def test_concatenated_jpegs_are_a_film(tmp_path, name):
     pictures = textured(30)
     (tmp_path / name).write_bytes(b"".join(jpeg(picture) for picture in pictures))
     frames = read(tmp_path / name)
@@ -85,7 +85,7 @@ def test_jpegs_one_after_the_other_are_a_film(tmp_path, name):
     np.testing.assert_allclose([frame.time_s for frame in frames], np.arange(30) / 25)
 
 
-def test_a_jpeg_of_a_film_that_has_lost_its_end_takes_no_other_with_it(tmp_path):
+def test_a_truncated_jpeg_of_a_film_loses_no_other(tmp_path):
     jpegs = [jpeg(picture) for picture in textured(6)]
     jpegs[2] = jpegs[2][:-400]
     jpegs[4] = jpegs[4][:-800] + bytes(400) + jpegs[4][-400:]
@@ -94,7 +94,7 @@ def test_a_jpeg_of_a_film_that_has_lost_its_end_takes_no_other_with_it(tmp_path)
     assert [type(entry) for entry in seen] == [Frame, Frame, Loss, Frame, Loss, Frame]
 
 
-def test_a_photo_with_a_second_one_behind_it_is_one_still(tmp_path):
+def test_a_photo_with_an_appended_second_one_is_one_still(tmp_path):
     first, second = textured(2)
     listed = b"MPF\0" + bytes(20)
     segment = b"\xff\xe2" + struct.pack(">H", len(listed) + 2) + listed
@@ -106,9 +106,9 @@ def test_a_photo_with_a_second_one_behind_it_is_one_still(tmp_path):
 
 @pytest.mark.parametrize("bits", [10, 12, 14, 16])
 @pytest.mark.parametrize("kind", ["images", "pages"])
-def test_the_bits_in_use_are_scaled_and_said(tmp_path, bits, kind):
+def test_the_bits_in_use_are_scaled_and_reported(tmp_path, bits, kind):
     most = (1 << bits) - 1
-    # The brightest picture is one of the last: what is decided holds for the first as well.
+    # The brightest picture is the last; the scale must hold for the first as well.
     eight = [
         np.clip(picture * part, 0, 255)
         for picture, part in zip(textured(3), (0.1, 0.5, 1.0), strict=True)
@@ -138,11 +138,11 @@ def test_a_picture_of_more_bits_than_the_sequence_is_lost(tmp_path):
         assert source.damage.endswith(f"({tmp_path}/1.png: holds more than 12 bits)")
 
 
-# --- how long a container says that it is ---------------------------------------------------------
+# --- duration stated by a container ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("name", "fourcc"), [("a.mkv", "mp4v"), ("a.flv", "FLV1")])
-def test_a_whole_file_is_not_called_cut_off_and_a_cut_one_is(tmp_path, caplog, name, fourcc):
+def test_a_cut_file_is_reported_and_a_whole_one_is_not(tmp_path, caplog, name, fourcc):
     path = write_film(tmp_path / name, textured(40), fourcc)
     assert len(read(path)) == 40
     assert not is_cut_off(path)
@@ -152,9 +152,7 @@ def test_a_whole_file_is_not_called_cut_off_and_a_cut_one_is(tmp_path, caplog, n
     assert "the file is shorter than it says: cut off" in caplog.text
 
 
-def test_a_matroska_whose_header_promises_too_long_a_film_is_believed_by_its_frames(
-    tmp_path, caplog
-):
+def test_a_matroska_with_too_long_a_stated_duration_is_not_reported(tmp_path, caplog):
     path = write_film(tmp_path / "a.mkv", textured(40), "mp4v")
     data = path.read_bytes()
     duration = data.index(b"\x44\x89\x88") + 3  # in milliseconds, as a double

@@ -26,7 +26,7 @@ ACCURACY_S = 0.002
 
 
 def tip_mm(time_s):
-    """A tip that wanders above the plane, in no regular way."""
+    """Aperiodic motion of a tip above the plane."""
     t = np.asarray(time_s)
     x = 200 + 80 * np.sin(2.1 * t) + 30 * np.sin(5.3 * t + 1)
     y = 180 + 70 * np.sin(1.7 * t + 2) + 20 * np.sin(4.1 * t)
@@ -35,7 +35,7 @@ def tip_mm(time_s):
 
 
 def tracks(lag_s, *, noise_px=0.2, span_s=6.0, motion=tip_mm, rng=0):
-    """What both cameras see of it, the second one's clock being late."""
+    """Tracks of the tip in both cameras; the second one's clock is late by `lag_s`."""
     draw, both = np.random.default_rng(rng), []
     first = CAMERAS[0]
     for camera, late_s in zip(CAMERAS, (0.0, lag_s), strict=True):
@@ -49,13 +49,13 @@ def tracks(lag_s, *, noise_px=0.2, span_s=6.0, motion=tip_mm, rng=0):
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.004, -0.2, 0.5123, -1.37, 2.9])
-def test_offsets_of_any_size_are_told_to_two_milliseconds(lag_s):
+def test_offsets_of_any_size_are_estimated_to_two_milliseconds(lag_s):
     found = offset_between(*tracks(lag_s))
     assert found.lag_s == pytest.approx(lag_s, abs=ACCURACY_S)
     assert found.off_px < 0.5
 
 
-def test_how_sure_an_offset_is_goes_with_its_error():
+def test_the_sigma_of_an_offset_matches_its_errors():
     lags_s = np.linspace(-0.1, 0.1, 7)
     found = [offset_between(*tracks(lag_s, span_s=4.0, rng=k)) for k, lag_s in enumerate(lags_s)]
     share = [(f.lag_s - lag_s) / f.sigma_s for f, lag_s in zip(found, lags_s, strict=True)]
@@ -88,14 +88,14 @@ def still(time_s):
         (tip_mm, {"span_s": 0.6}, "followed in 18 and 18 frames; 24 of each are needed"),
     ],
 )
-def test_footage_that_tells_no_offset_is_refused_with_what_would(motion, more, words):
+def test_footage_without_a_determinable_offset_is_refused_with_advice(motion, more, words):
     with pytest.raises(InvalidInputError) as raised:
         offset_between(*tracks(0.2, motion=motion, **more))
     assert any(part in str(raised.value) for part in words.split("|"))
 
 
-def test_a_repetition_that_falls_on_a_frame_is_not_taken_for_the_offset_between_frames():
-    """0.4 frames late, repeated after 34.4: of whole frames that of the wrong lag fits best."""
+def test_a_repetition_is_not_mistaken_for_the_offset():
+    """0.4 frames late, period 34.4 frames: of whole lags, one a period off fits best."""
 
     def repeated(time_s):
         phase = 2 * np.pi / (34.4 * STEP_S) * np.asarray(time_s)
@@ -105,7 +105,7 @@ def test_a_repetition_that_falls_on_a_frame_is_not_taken_for_the_offset_between_
         offset_between(*tracks(0.4 * STEP_S, motion=repeated))
 
 
-def test_the_command_sets_recordings_right_that_were_begun_apart(tmp_path):
+def test_the_command_synchronises_recordings(tmp_path):
     skew_s = 0.1234
     rig = SimulatedRig(
         Placement(time_skews_s=(0.0, skew_s)), background=Background(texture="wood", clutter=20.0)
@@ -118,8 +118,8 @@ def test_the_command_sets_recordings_right_that_were_begun_apart(tmp_path):
         main, ["sync", str(rig_file), "--json", "-o", str(tmp_path / "s.toml")]
     )
     assert done.exit_code == 0, done.output
-    told = json.loads(done.output)
-    assert told["offset_s"] == pytest.approx(skew_s, abs=ACCURACY_S)
-    assert told["sigma_s"] < ACCURACY_S
+    found = json.loads(done.output)
+    assert found["offset_s"] == pytest.approx(skew_s, abs=ACCURACY_S)
+    assert found["sigma_s"] < ACCURACY_S
     left, right = fp.Rig.load(tmp_path / "s.toml").views
-    assert (left.offset_s, right.offset_s) == (0.0, pytest.approx(told["offset_s"], abs=1e-6))
+    assert (left.offset_s, right.offset_s) == (0.0, pytest.approx(found["offset_s"], abs=1e-6))

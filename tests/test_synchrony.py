@@ -1,4 +1,4 @@
-"""Views of one time: clocks by the tip that both follow, old pictures, names that are times."""
+"""Synchrony of views: clocks by the tip that both follow, repeated pictures, times in names."""
 
 import logging
 from pathlib import Path
@@ -23,7 +23,7 @@ CAMERAS = Placement(azimuths_deg=(-20.0, 25.0)).cameras(Workspace())
 
 
 def tip_mm(time_s):
-    """A tip that wanders above the plane, in no regular way."""
+    """Aperiodic motion of a tip above the plane."""
     t = np.asarray(time_s)
     x = 200 + 80 * np.sin(2.1 * t) + 30 * np.sin(5.3 * t + 1)
     y = 180 + 70 * np.sin(1.7 * t + 2) + 20 * np.sin(4.1 * t)
@@ -32,7 +32,7 @@ def tip_mm(time_s):
 
 
 def tips(lag_s, *, noise_px=0.4, span_s=3.0, motion=tip_mm, rng=0):
-    """What both cameras see of it, the second one's clock being late."""
+    """Tips in both cameras; the second one's clock is late by `lag_s`."""
     rng = np.random.default_rng(rng)
     first, other = CAMERAS
     both = []
@@ -47,7 +47,7 @@ def tips(lag_s, *, noise_px=0.4, span_s=3.0, motion=tip_mm, rng=0):
 
 
 @pytest.mark.parametrize("frames", [-20, -6.5, -2, 1.5, 3, 12, 24])
-def test_a_clock_that_is_late_is_told_to_part_of_a_frame(frames):
+def test_a_late_clock_is_measured_to_a_fraction_of_a_frame(frames):
     lag = lag_between(*tips(frames * STEP_S))
     assert lag.lag_s == pytest.approx(frames * STEP_S, abs=0.25 * STEP_S)
     assert lag.with_px < 0.5 * lag.without_px
@@ -55,17 +55,17 @@ def test_a_clock_that_is_late_is_told_to_part_of_a_frame(frames):
 
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("frames", [0.0, 0.3, -0.4])
-def test_clocks_that_agree_to_part_of_a_frame_are_left_alone(frames, seed):
+def test_clocks_that_agree_to_a_fraction_of_a_frame_have_no_lag(frames, seed):
     assert lag_between(*tips(frames * STEP_S, noise_px=1.0, rng=seed)) is None
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_tip_that_stands_still_tells_nothing(seed):
+def test_a_still_tip_gives_no_lag(seed):
     still = tips(0.5, motion=lambda _: np.array([200.0, 150.0, 60.0]), rng=seed)
     assert lag_between(*still) is None
 
 
-def test_a_tip_that_moves_along_the_base_line_tells_nothing():
+def test_a_tip_that_moves_along_the_base_line_gives_no_lag():
     along = CAMERAS[1].centre_mm - CAMERAS[0].centre_mm
     along /= np.linalg.norm(along)
 
@@ -75,13 +75,13 @@ def test_a_tip_that_moves_along_the_base_line_tells_nothing():
     assert lag_between(*tips(0.2, motion=motion)) is None
 
 
-def test_few_tips_tell_nothing():
+def test_too_few_tips_give_no_lag():
     assert lag_between(*tips(0.2, span_s=0.5)) is None
 
 
 @pytest.fixture(scope="module")
 def clip():
-    """The frames of the built-in clip, and its rig."""
+    """The rig of the built-in clip, and its frames."""
     rig = Rig.load(CLIP)
     with open_views(rig.sources) as sources:
         return rig, list(read_views(sources))
@@ -92,22 +92,22 @@ def run(rig, frames):
     return pointer, list(steps(pointer, frames))
 
 
-def test_views_begun_apart_are_noticed_and_give_no_points(clip, caplog):
+def test_views_with_an_offset_are_detected_and_give_no_points(clip, caplog):
     rig, together = clip
     late = [
         (left, Frame(left.index, left.time_s, right.image))
         for (left, _), (_, right) in zip(together[:-5], together[5:], strict=True)
     ]
     with caplog.at_level(logging.WARNING):
-        pointer, told = run(rig, late)
+        pointer, reported = run(rig, late)
     (note,) = pointer.notes()
     assert "offset_s = 0.20" in note
     assert note in caplog.text
-    assert all(step.fix.status is not Status.OK for step in told[-30:])
-    assert "lags by -0.20 s" in told[-1].fix.reason
+    assert all(step.fix.status is not Status.OK for step in reported[-30:])
+    assert "lags by -0.20 s" in reported[-1].fix.reason
 
 
-def test_an_offset_in_the_rig_brings_them_together(clip, tmp_path):
+def test_an_offset_in_the_rig_synchronises_the_views(clip, tmp_path):
     rig, together = clip
     late_by = 5
     views = []
@@ -120,11 +120,11 @@ def test_an_offset_in_the_rig_brings_them_together(clip, tmp_path):
         views.append(structs.replace(view, source=source, offset_s=offset_s))
     moved = structs.replace(rig, views=tuple(views))
     with open_views(moved.sources, moved.readings) as sources:
-        pointer, told = run(moved, read_views(sources))
+        pointer, reported = run(moved, read_views(sources))
     assert pointer.notes() == []
     _, plain = run(rig, together)
     expected = {round(s.fix.time_s, 3): s.fix.point for s in plain if s.fix.status is Status.OK}
-    ok = [step.fix for step in told if step.fix.status is Status.OK]
+    ok = [step.fix for step in reported if step.fix.status is Status.OK]
     assert len(ok) > 60
     off = [np.hypot(*(f.point - expected[round(f.time_s, 3)])) for f in ok[10:]]
     assert np.median(off) < 1.0
@@ -145,7 +145,7 @@ def freshness_of(pairs):
     return freshness, np.array(old)
 
 
-def test_a_picture_that_a_driver_repeats_is_an_old_one():
+def test_a_picture_repeated_by_a_driver_is_old():
     rng = np.random.default_rng(1)
     moving = [noisy(rng, (60 + 3 * k, 120)) for k in range(40)]
     slow = [moving[k - k % 2] for k in range(40)]
@@ -155,7 +155,7 @@ def test_a_picture_that_a_driver_repeats_is_an_old_one():
     assert freshness.repeats[1] == old[:, 1].sum()
 
 
-def test_two_slow_sensors_are_told_by_themselves():
+def test_repeats_of_two_slow_sensors_are_detected():
     rng = np.random.default_rng(1)
     moving = [noisy(rng, (60 + 3 * k, 120)) for k in range(40)]
     slow = [moving[k - k % 2] for k in range(40)]
@@ -163,7 +163,7 @@ def test_two_slow_sensors_are_told_by_themselves():
     assert old[18:].tolist() == [[k % 2 == 1] * 2 for k in range(18, 40)]
 
 
-def test_a_hand_that_keeps_still_is_seen_anew_in_every_picture():
+def test_pictures_of_a_still_hand_are_new():
     rng = np.random.default_rng(1)
     moving = [noisy(rng, (60 + 3 * min(k, 15), 120)) for k in range(60)]
     still = [noisy(rng, (60, 120)) for _ in range(60)]
@@ -171,7 +171,7 @@ def test_a_hand_that_keeps_still_is_seen_anew_in_every_picture():
     assert not old.any()
 
 
-def test_stills_and_films_without_noise_are_no_old_pictures():
+def test_pictures_without_noise_are_not_old():
     rng = np.random.default_rng(1)
     one = noisy(rng, (60, 120))
     _, old = freshness_of([(one, one)] * 40)
@@ -179,7 +179,7 @@ def test_stills_and_films_without_noise_are_no_old_pictures():
 
 
 @pytest.mark.parametrize("view", [0, 1])
-def test_a_view_that_has_frozen_is_lost_and_comes_back(clip, view, caplog):
+def test_a_frozen_view_is_lost_and_returns(clip, view, caplog):
     rig, together = clip
     frames = []
     for k, pair in enumerate(together):
@@ -187,8 +187,8 @@ def test_a_view_that_has_frozen_is_lost_and_comes_back(clip, view, caplog):
         if 35 <= k < 70:
             images[view] = together[35][view].image
         frames.append([Frame(k, k / 25.0, image) for image in images])
-    pointer, told = run(rig, frames)
-    by_time = {round(25 * step.fix.time_s): step.fix for step in told}
+    pointer, reported = run(rig, frames)
+    by_time = {round(25 * step.fix.time_s): step.fix for step in reported}
     frozen = [by_time[k] for k in range(50, 70)]
     assert {fix.status for fix in frozen} == {Status.LOST}
     assert all(f'view "{rig.views[view].name}": {FROZEN}' in fix.reason for fix in frozen)
@@ -202,10 +202,10 @@ def paths(*names):
     return [Path(name) for name in names]
 
 
-def test_numbers_that_are_missing_are_frames_that_were_lost(caplog):
-    told = taken(paths("a1.png", "a2.png", "a5.png", "a6.png"), 10.0, "a*.png")
-    assert [one.place for one in told] == [0, 1, 4, 5]
-    assert [one.time_s for one in told] == [0.0, 0.1, 0.4, 0.5]
+def test_missing_numbers_are_lost_frames(caplog):
+    numbered = taken(paths("a1.png", "a2.png", "a5.png", "a6.png"), 10.0, "a*.png")
+    assert [one.place for one in numbered] == [0, 1, 4, 5]
+    assert [one.time_s for one in numbered] == [0.0, 0.1, 0.4, 0.5]
     assert "a*.png: 2 numbers are missing, the first of them after a2.png" in caplog.text
 
 
@@ -227,14 +227,14 @@ def test_numbers_that_are_missing_are_frames_that_were_lost(caplog):
         ([f"{1_700_000_000_000_000_000 + k * 10**8}.png" for k in range(4)], None),
     ],
 )
-def test_names_tell_when_images_were_taken(names, times_s, caplog):
+def test_file_names_give_the_times_of_images(names, times_s, caplog):
     expected = times_s or [1.7e9 + k / 10 for k in range(4)]
-    told = taken(paths(*names), 10.0, "*.png")
-    assert [one.time_s for one in told] == pytest.approx(expected, abs=1e-6)
+    numbered = taken(paths(*names), 10.0, "*.png")
+    assert [one.time_s for one in numbered] == pytest.approx(expected, abs=1e-6)
     assert caplog.text == ""
 
 
-def test_an_image_that_is_named_keeps_its_place(tmp_path):
+def test_numbered_images_keep_their_places(tmp_path):
     for k in (0, 1, 4):
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((8, 8), k, np.uint8))
     with open_source(str(tmp_path / "*.png"), fps=10.0) as source:

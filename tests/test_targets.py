@@ -1,4 +1,4 @@
-"""Things to point at: how probably each of them is meant, and what a hand does with them."""
+"""Targets: their probabilities, their tables in the rig file, and events of selection."""
 
 import json
 import math
@@ -17,7 +17,7 @@ from fingerpost.selection import Event, EventKind, Selector
 from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
 from fingerpost.targets import Target, Targets
 
-# Of 2000 places; see NODES.
+# Tolerance of a probability that is averaged over 2000 places; see NODES.
 SHARE = 0.003
 
 
@@ -30,7 +30,7 @@ def box(name: str, x0: float, y0: float, x1: float, y1: float, radius: float = 0
 
 
 @pytest.mark.parametrize("sigma", [3.0, 8.0, 30.0])
-def test_a_disc_about_the_point_has_the_probability_of_its_radius(sigma):
+def test_a_disc_around_the_point_has_the_probability_of_its_radius(sigma):
     found = Targets([disc("cup", 70, 90, 12)]).probabilities([70, 90], sigma**2 * np.eye(2))
     assert found["cup"] == pytest.approx(1 - math.exp(-(12**2) / (2 * sigma**2)), abs=SHARE)
     assert found["cup"] + found[None] == pytest.approx(1.0)
@@ -40,7 +40,7 @@ def normal_share(low: float, high: float) -> float:
     return (math.erf(high / math.sqrt(2)) - math.erf(low / math.sqrt(2))) / 2
 
 
-def test_boxes_share_a_long_ellipse_as_its_axes_do():
+def test_boxes_have_the_probabilities_of_an_elongated_normal_distribution():
     boxes = Targets([box("left", -50, -8, 0, 8), box("right", 0, -8, 50, 8)])
     found = boxes.probabilities([5.0, 2.0], np.diag([20.0**2, 6.0**2]))
     across = normal_share(-10 / 6, 6 / 6)
@@ -48,11 +48,11 @@ def test_boxes_share_a_long_ellipse_as_its_axes_do():
     assert found["right"] == pytest.approx(normal_share(-5 / 20, 45 / 20) * across, abs=2 * SHARE)
 
 
-def test_any_shape_has_the_share_of_a_draw_that_lies_on_it():
+def test_any_shape_has_the_probability_of_random_samples():
     shape = Target("L", [[0, 0], [60, 0], [60, 20], [20, 20], [20, 60], [0, 60]], radius=5.0)
     covariance = np.array([[300.0, 180.0], [180.0, 400.0]])
     drawn = np.random.default_rng(3).multivariate_normal([30, 25], covariance, 100_000)
-    # The distance from an L is that from the nearest of the two boxes it is made of.
+    # The distance from an L is the smaller of the distances from its two boxes.
     away = [
         np.hypot(*np.maximum(np.abs(drawn - middle) - half, 0.0).T)
         for middle, half in (((30, 10), (30, 10)), ((10, 30), (10, 30)))
@@ -62,7 +62,7 @@ def test_any_shape_has_the_share_of_a_draw_that_lies_on_it():
     assert found["L"] == pytest.approx(expected, abs=2 * SHARE)
 
 
-def test_where_targets_overlap_a_place_is_of_one_of_them():
+def test_a_place_on_overlapping_targets_belongs_to_one_of_them():
     targets = Targets([disc("a", 0, 0, 30), disc("b", 40, 0, 30)])
     assert targets.at([[18, 0], [22, 0], [-31, 0]]).tolist() == [0, 1, -1]
     found = targets.probabilities([20, 0], 25 * np.eye(2))
@@ -76,12 +76,12 @@ def test_a_point_known_exactly_is_on_one_target_or_on_none():
         assert targets.probabilities(point, np.zeros((2, 2)))[name] == 1.0
 
 
-def test_stated_probabilities_are_calibrated_with_none_of_them_among_the_answers():
-    """Of answers that are given with about 0.9, about nine in ten are right; so at other levels."""
+def test_probabilities_are_calibrated_including_that_of_no_target():
+    """Nine in ten of the answers with probability 0.9 are right; likewise for other values."""
     rng = np.random.default_rng(11)
     cameras = stereo()
     views = [plane_view(camera) for camera in cameras]
-    # 40 mm apart, about two thirds of the plane; rods point anywhere, at one of them or at none.
+    # 40 mm apart, on about two thirds of the plane; rods point anywhere, at a target or at none.
     targets = Targets(
         [disc(f"{x} {y}", x, y, 18.0) for x in range(20, 400, 40) for y in range(20, 400, 40)]
     )
@@ -109,7 +109,7 @@ def test_stated_probabilities_are_calibrated_with_none_of_them_among_the_answers
     assert right.mean() == pytest.approx(stated.mean(), abs=0.03)
 
 
-# --- in the rig -------------------------------------------------------------------------------
+# --- rig file ---------------------------------------------------------------------------------
 
 RIG = """\
 [plane]
@@ -137,7 +137,7 @@ def load(folder, text: str) -> fp.Rig:
     return fp.Rig.load(folder / "rig.toml")
 
 
-def test_targets_of_a_rig_survive_being_written(tmp_path):
+def test_targets_of_a_rig_are_read_as_they_were_saved(tmp_path):
     rig = load(tmp_path, RIG)
     assert [target.rest for target in rig.things] == [False, True]
     rig.save(tmp_path / "again.toml")
@@ -156,14 +156,14 @@ def test_targets_of_a_rig_survive_being_written(tmp_path):
         ("point = [100, 100]", "point = 3", "target[0].point is 3; needed: its middle"),
     ],
 )
-def test_targets_that_cannot_be_are_refused_by_name(tmp_path, found, instead, words):
+def test_invalid_targets_are_refused_by_name(tmp_path, found, instead, words):
     assert found in RIG
     with pytest.raises(InvalidInputError) as raised:
         load(tmp_path, RIG.replace(found, instead, 1))
     assert words in str(raised.value)
 
 
-def test_targets_are_made_in_python_as_well():
+def test_targets_can_be_made_in_python():
     assert TargetTable(name="cup", point=np.array([1, 2]), radius=3).point == (1.0, 2.0)
 
 
@@ -171,7 +171,7 @@ def test_targets_are_made_in_python_as_well():
 
 
 def fix(time_s: float, **targets: float) -> fp.Fix:
-    """A fix that is at targets with some probabilities, at none of them with the rest."""
+    """A fix with probabilities of targets; the remainder is the probability of none."""
     answers = {None: 1.0 - sum(targets.values()), **targets}
     return fp.Fix(time_s, fp.Status.OK, (), np.zeros(2), np.eye(2), targets=answers)
 
@@ -180,19 +180,19 @@ def lost(time_s: float) -> fp.Fix:
     return fp.Fix(time_s, fp.Status.LOST, ())
 
 
-def told(events: list[Event]) -> list[str]:
+def lines_of(events: list[Event]) -> list[str]:
     return [f"{event.time_s:g} {event.event} {event.target} {event.by}".strip() for event in events]
 
 
 def played(selector: Selector, fixes: list[fp.Fix]) -> list[str]:
-    return told([event for one in fixes for event in selector.update(one)])
+    return lines_of([event for one in fixes for event in selector.update(one)])
 
 
 TABLE = Targets([disc("cup", 0, 0, 9), disc("jug", 40, 0, 9)])
 WITH_REST = Targets([*TABLE, disc("home", 99, 99, 9, rest=True)])
 
 
-def test_staying_selects_once_until_the_hand_has_been_elsewhere():
+def test_dwelling_selects_once_until_the_hand_has_left():
     selector = Selector(TABLE, dwell_s=0.5)
     stay = [fix(k / 10, cup=0.8) for k in range(20)]
     assert played(selector, stay) == ["0 enter cup", "0.5 select cup dwell"]
@@ -200,27 +200,27 @@ def test_staying_selects_once_until_the_hand_has_been_elsewhere():
     assert played(selector, away) == ["2 leave cup", "2.1 enter cup", "2.6 select cup dwell"]
 
 
-def test_a_hand_that_passes_over_selects_nothing():
+def test_a_passing_hand_selects_nothing():
     selector = Selector(TABLE, dwell_s=0.5)
     fixes = [fix(k / 10, **{name: 0.9}) for k, name in enumerate(["cup"] * 4 + ["jug"] * 4)]
     assert played(selector, fixes) == ["0 enter cup", "0.4 leave cup", "0.4 enter jug"]
 
 
-def test_an_unsure_border_is_not_crossed_all_the_time():
+def test_fluctuating_probabilities_cause_no_repeated_events():
     selector = Selector(TABLE, dwell_s=0.5)
     shares = [0.6, 0.45, 0.3, 0.55, 0.4, 0.35, 0.6, 0.2]
     fixes = [fix(k / 10, cup=share) for k, share in enumerate(shares)]
     assert played(selector, fixes) == ["0 enter cup", "0.5 select cup dwell", "0.7 leave cup"]
 
 
-def test_a_hand_that_is_hidden_for_a_moment_has_not_left():
+def test_a_briefly_hidden_hand_has_not_left():
     selector = Selector(TABLE, dwell_s=0.5)
     hidden = [fix(0.0, cup=0.9), lost(0.1), lost(0.2), fix(0.3, cup=0.9), fix(0.5, cup=0.9)]
     assert played(selector, hidden) == ["0 enter cup", "0.5 select cup dwell"]
     assert played(selector, [lost(0.7), lost(0.9)]) == ["0.9 leave cup"]
 
 
-def test_with_a_place_to_rest_each_selection_begins_there():
+def test_with_a_rest_target_each_selection_needs_a_rest_before():
     selector = Selector(WITH_REST, dwell_s=0.5)
 
     def stay(start_s: float, name: str) -> list[str]:
@@ -235,7 +235,7 @@ def test_with_a_place_to_rest_each_selection_begins_there():
     assert stay(5.0, "cup") == ["5.5 select cup dwell"]
 
 
-def test_a_key_selects_what_the_hand_is_at():
+def test_a_key_selects_the_target_at_the_hand():
     selector = Selector(WITH_REST, dwell_s=None)
     assert selector.press(0.0) == []
     assert played(selector, [fix(k / 10, cup=0.7) for k in range(30)]) == ["0 enter cup"]

@@ -1,4 +1,4 @@
-"""`ContourTracker` from Python, on hands drawn here with a known axis."""
+"""`ContourTracker` from Python, on drawn hands with a known axis."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ NOISE_GREY = 2.0
 
 @dataclass(frozen=True)
 class Hand:
-    """A finger and a thumb, each a band with round ends, on an even background."""
+    """A finger and a thumb, each a band with round ends, on a uniform background."""
 
     tip: tuple[float, float] = (320.0, 240.0)
     angle_rad: float = 0.5
@@ -32,7 +32,7 @@ class Hand:
         return np.array([np.cos(self.angle_rad), np.sin(self.angle_rad)])
 
     def draw(self, rng: np.random.Generator | None = None) -> np.ndarray:
-        """640 × 480 px; edges cover their pixels by the area, blurred by 1 px."""
+        """Draw 640 × 480 px with area-sampled edges, blurred by 1 px."""
         tip, e, w = np.array(self.tip), self.direction, self.half_width_px
         outside = _beyond_band(tip - 130 * e, tip - w * e, w)
         if self.thumb != "none":
@@ -48,7 +48,7 @@ class Hand:
         return np.clip(np.round(image), 0, 255).astype(np.uint8)
 
     def error(self, line: FingerLine) -> np.ndarray:
-        """Offset [px] at the line's anchor and angle [rad] of a line from the true axis."""
+        """Offset [px] at the line's anchor, and angle [rad], from the true axis to a line."""
         normal = np.array([-self.direction[1], self.direction[0]])
         offset = (np.array(line.anchor_px) - self.tip) @ normal
         turn = line.angle_rad - self.angle_rad
@@ -64,7 +64,7 @@ def _beyond_band(start: np.ndarray, end: np.ndarray, half_width_px: float) -> np
 
 
 def waving(hand: Hand, frames: int) -> list[Hand]:
-    """The hand at 0.3 Hz about its place, up to 3 px and 0.6° a frame."""
+    """Return a hand that oscillates at 0.3 Hz, by up to 3 px and 0.6° per frame."""
     times = FRAME_S * np.arange(frames)
     return [
         replace(
@@ -85,8 +85,8 @@ def follow(tracker: ContourTracker, images: list[np.ndarray], **more: object) ->
     return [tracker.update(image, FRAME_S * i, **more) for i, image in enumerate(images)]
 
 
-def told(track: Track) -> tuple[object, ...]:
-    """Everything that a track tells, bit by bit."""
+def contents(track: Track) -> tuple[object, ...]:
+    """Return a track's contents, for comparison bit by bit."""
     line, d = track.finger_line, track.diagnostics
     return (
         track.time_s,
@@ -110,7 +110,7 @@ HANDS = [
 
 @pytest.mark.parametrize("model", ["ribbon", "paper"])
 @pytest.mark.parametrize("hand", HANDS)
-def test_a_waving_hand_is_tracked_along_its_true_axis(hand, model):
+def test_the_axis_of_a_waving_hand_is_tracked(hand, model):
     rng = np.random.default_rng(HANDS.index(hand))
     truth = waving(hand, 36)
     tracks = follow(waiting_for(hand, model=model), [h.draw(rng) for h in truth])
@@ -129,11 +129,11 @@ def test_a_waving_hand_is_tracked_along_its_true_axis(hand, model):
         along = (np.array(track.finger_line.tip_px) - h.tip) @ h.direction
         assert abs(along) < 0.6
         nees.append(error @ np.linalg.solve(track.finger_line.covariance, error))
-    if model == "ribbon":  # the paper's planar template is not quite this hand
-        assert 0.3 < np.mean(nees) < 3.0  # 2 if the covariance were neither bold nor shy
+    if model == "ribbon":  # the paper's planar template does not fit this hand exactly
+        assert 0.3 < np.mean(nees) < 3.0  # 2 for an exact covariance
 
 
-def test_colour_and_grey_agree_on_a_hand_that_both_show():
+def test_colour_and_grey_give_the_same_line():
     hand = Hand()
     images = [h.draw(np.random.default_rng(7)) for h in waving(hand, 20)]
     plain, coloured = waiting_for(hand), waiting_for(hand)
@@ -148,19 +148,19 @@ def test_colour_and_grey_agree_on_a_hand_that_both_show():
 
 
 def over_cloth(hand: Hand | None, rng: np.random.Generator) -> np.ndarray:
-    """A reddish hand over a cloth of waves in every colour, BGR."""
+    """A reddish hand over a cloth with waves in every channel, BGR."""
     v, u = np.mgrid[:480, :640]
     cover = np.zeros((480, 640)) if hand is None else replace(hand, grey=(255, 0)).draw() / 255
     planes = []
-    for phase, skin in enumerate((110, 130, 160)):
+    for phase, level in enumerate((110, 130, 160)):
         cloth = 115 + 35 * np.sin(u / 6 + phase) * np.cos(v / 7 - 2 * phase)
-        planes.append(cloth * (1 - cover) + skin * cover)
+        planes.append(cloth * (1 - cover) + level * cover)
     image = np.stack(planes, axis=2) + rng.normal(0, NOISE_GREY, (480, 640, 3))
     return np.clip(np.round(image), 0, 255).astype(np.uint8)
 
 
-def test_a_known_background_makes_a_line_surer_than_colours_alone():
-    # The errors of one film's frames are not independent: several films tell more than one.
+def test_a_known_background_reduces_the_error_of_the_line():
+    # The errors in the frames of one film are correlated, so several films are averaged.
     errors: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
     films = range(17, 21)
     for film in films:
@@ -173,10 +173,10 @@ def test_a_known_background_makes_a_line_surer_than_colours_alone():
             image = over_cloth(hand, rng)
             grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
             background.look(grey, image)
-            for tracker, behind, told_of in zip(trackers, [background, None], errors, strict=True):
+            for tracker, behind, measured in zip(trackers, [background, None], errors, strict=True):
                 line = tracker.update(grey, FRAME_S * i, image, background=behind).finger_line
                 if line is not None:
-                    told_of.append(hand.error(line))
+                    measured.append(hand.error(line))
     known, unknown = (np.sqrt(np.mean(np.square(e), axis=0)) for e in errors)
     assert len(errors[0]) >= 18 * len(films)
     assert len(errors[1]) >= 12 * len(films)
@@ -185,11 +185,11 @@ def test_a_known_background_makes_a_line_surer_than_colours_alone():
 
 
 CURVATURE_PER_PX = 1 / 800
-"""Of a finger that is bent by as much as straight ones are: 1 px in 80."""
+"""Curvature of a finger as bent as straight ones may be: the arc rises 1 px over 80 px."""
 
 
 def bent_finger(tip: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A bright finger 20 px wide that points along +u, bent about a point beside its middle."""
+    """A bright finger 20 px wide along +u, its medial line a circular arc."""
     v, u = np.mgrid[:480, :640]
     radius_px = 1 / CURVATURE_PER_PX
     middle = tip + np.array([-55.0, radius_px])
@@ -202,17 +202,17 @@ def bent_finger(tip: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def moving(frames: int) -> Iterator[tuple[float, np.ndarray]]:
-    """When, and where the tip of a finger is that moves to and fro."""
+    """Yield the time and the tip position of a finger that oscillates."""
     for k in range(frames):
         yield FRAME_S * k, np.array([320.0 + 60 * np.sin(0.1 * k), 240.0 + 40 * np.sin(0.07 * k)])
 
 
 JOINT_PX = 52.0
-"""How far behind its tip the finger that has a knuckle is turned."""
+"""Distance from the tip to the joint of `knuckled_finger`."""
 
 
 def knuckled_finger(tip: np.ndarray, turn_rad: float, rng: np.random.Generator) -> np.ndarray:
-    """Colours of a finger 20 px wide that points along +u; behind its joint it widens a little."""
+    """A finger 20 px wide along +u, in colour; behind its joint it turns and widens a little."""
     v, u = np.mgrid[:480, :640]
     end, joint = tip - (10.0, 0.0), tip - (JOINT_PX, 0.0)
     root = joint - 45.0 * np.array([np.cos(turn_rad), np.sin(turn_rad)])
@@ -224,14 +224,14 @@ def knuckled_finger(tip: np.ndarray, turn_rad: float, rng: np.random.Generator) 
         off_px = np.hypot(u - first[0] - part * way[0], v - first[1] - part * way[1])
         inside_px = np.maximum(inside_px, 10.0 + (half_width_px - 10.0) * part - off_px)
     cover = np.clip(0.5 + inside_px, 0.0, 1.0)[..., None]
-    table, skin = np.array([70.0, 80.0, 60.0]), np.array([120.0, 140.0, 190.0])
-    image = cv2.GaussianBlur(table + (skin - table) * cover, (0, 0), 1.0)
+    table, finger = np.array([70.0, 80.0, 60.0]), np.array([120.0, 140.0, 190.0])
+    image = cv2.GaussianBlur(table + (finger - table) * cover, (0, 0), 1.0)
     noise = rng.normal(0, NOISE_GREY, image.shape)
     return np.clip(np.round(image + noise), 0, 255).astype(np.uint8)
 
 
 @pytest.mark.parametrize("turn_rad", [0.15, -0.15, 0.0])
-def test_a_line_is_that_of_the_front_wherever_the_finger_comes_from(turn_rad):
+def test_the_line_is_that_of_the_front_of_a_finger_bent_at_its_joint(turn_rad):
     rng = np.random.default_rng(5)
     start = StartPose((320.0, 240.0), 0.0, 90)
     tracker = ContourTracker(Template.pistol("none"), start)
@@ -241,15 +241,16 @@ def test_a_line_is_that_of_the_front_wherever_the_finger_comes_from(turn_rad):
         grey = cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)
         line = tracker.update(grey, time_s, colour).finger_line
         angles_rad.append(np.nan if line is None else line.angle_rad)
-    # The line of least squares through the medial line of the front, 0.76 to 5.6 half-widths long.
+    # Least-squares line through the medial line of the front, 0.76 to 5.6 half-widths behind the
+    # tip.
     behind_px = np.linspace(7.6, 56.0, 1001)
     medial_px = -np.tan(turn_rad) * np.clip(behind_px - JOINT_PX, 0.0, None)
     front_rad = -np.polyfit(behind_px, medial_px, 1)[0]
-    # A parabola through the whole tells it to a degree.
+    # A parabola through the whole finger would give it to a degree only.
     np.testing.assert_allclose(angles_rad[5:], front_rad, atol=np.radians(0.4))
 
 
-def test_no_number_of_frames_makes_the_line_of_a_bent_finger_sure():
+def test_the_variance_of_a_bent_finger_does_not_vanish_with_more_frames():
     rng = np.random.default_rng(3)
     start = StartPose((320.0, 240.0), 0.0, 90)
     tracker = ContourTracker(Template.pistol("none"), start)
@@ -257,15 +258,18 @@ def test_no_number_of_frames_makes_the_line_of_a_bent_finger_sure():
     for time_s, tip in moving(60):
         line = tracker.update(bent_finger(tip, rng), time_s).finger_line
         sigmas_rad.append(np.nan if line is None else np.sqrt(line.covariance[1, 1]))
-    # The end of a line of half-length h may be off by 0.32 of the bend, which is κ h² / 3: the
-    # spread of lines through other stretches of the finger. The line stands for h = 40 px or so.
+    # The end of a line of half-length h may be off by 0.32 of the bend κ h² / 3, which is the
+    # spread of lines through other stretches of the finger. Here h is about 40 px.
     open_rad = np.sqrt(3) * 0.32 * CURVATURE_PER_PX * 40 / 3
     assert np.isfinite(sigmas_rad[5:]).all()
     np.testing.assert_allclose(sigmas_rad[-20:], open_rad, rtol=0.2)
 
 
 def angle_sigmas_rad(grey: tuple[int, int], texture_grey: float) -> np.ndarray:
-    """As told once many frames are known, of a finger in a picture that scatters so much."""
+    """Standard deviation of the angle after many frames, with `grey` levels of hand and table.
+
+    `texture_grey` is the standard deviation of the image's texture.
+    """
     rng = np.random.default_rng(11)
     texture = cv2.GaussianBlur(rng.normal(0, 1, (480, 640)), (0, 0), 2.0)
     texture *= texture_grey / texture.std()
@@ -278,21 +282,22 @@ def angle_sigmas_rad(grey: tuple[int, int], texture_grey: float) -> np.ndarray:
     return np.array(sigmas_rad[-20:])
 
 
-def test_no_number_of_frames_makes_the_line_of_a_finger_that_hardly_shows_sure():
-    # Either end may be off by 0.007 of the half-length.
+def test_the_variance_of_a_finger_of_low_contrast_does_not_vanish_with_more_frames():
+    # Each end may be off by 0.007 of the half-length.
     open_rad = np.sqrt(3) * 0.007
     np.testing.assert_allclose(angle_sigmas_rad((110, 80), 6.0), open_rad, rtol=0.15)
     assert np.all(angle_sigmas_rad((210, 80), 3.0) < 0.1 * open_rad)
 
 
-def test_a_finger_that_noise_alone_hides_is_as_sure_as_its_covariance():
+def test_the_variance_of_a_finger_in_noise_alone_becomes_small():
     assert np.all(angle_sigmas_rad((104, 80), 0.0) < 0.1 * np.sqrt(3) * 0.007)
 
 
 @pytest.mark.parametrize("way_rad", [0.3, 1.5, 2.6, -1.2])
-def test_a_hand_that_comes_back_in_full_motion_is_followed(way_rad: float):
+def test_a_hand_that_returns_in_fast_motion_is_followed(way_rad: float):
     hand, empty = Hand(), np.full((480, 640), 90, np.uint8)
-    way_px = 60 * np.array([np.cos(way_rad), np.sin(way_rad)])  # in a frame: no edge leads so far
+    # Per frame: beyond the range of any edge search.
+    way_px = 60 * np.array([np.cos(way_rad), np.sin(way_rad)])
     passing = [replace(hand, tip=tuple(hand.tip + k * way_px)) for k in range(4)]
     tracker = waiting_for(hand, track={"lose_after_frames": 4})
     follow(tracker, [hand.draw()] * 8 + [empty] * 8)
@@ -329,7 +334,7 @@ def test_the_same_frames_give_the_same_bits(model):
     assert once[-1].status == "tracking"
     for again in [images, padded]:
         tracks = follow(waiting_for(hand, model=model), again)
-        assert [told(track) for track in tracks] == [told(track) for track in once]
+        assert [contents(track) for track in tracks] == [contents(track) for track in once]
 
 
 def test_the_shape_is_that_of_the_hand():
@@ -348,7 +353,7 @@ def test_the_shape_is_that_of_the_hand():
     assert (np.linalg.eigvalsh(covariance) > 0).all()
 
 
-def test_the_contour_and_the_search_lie_on_the_hand():
+def test_contour_and_search_lines_lie_on_the_hand():
     hand = Hand()
     tracker = waiting_for(hand)
     waiting = tracker.contour()
@@ -373,7 +378,7 @@ def test_the_contour_and_the_search_lie_on_the_hand():
     assert np.linalg.norm(lines.normal, axis=1) == pytest.approx(1)
 
 
-def test_a_traced_outline_is_tracked_by_the_papers_model():
+def test_a_traced_template_is_tracked_by_the_papers_model():
     hand = Hand(thumb="none")
     pq = Template.pistol("none").outline(200)
     traced = Template.from_outline(pq, knuckle=(-0.5, 0), tip=(0.5, 0), hand="right")
@@ -386,7 +391,7 @@ def test_a_traced_outline_is_tracked_by_the_papers_model():
         ContourTracker(traced, start)
 
 
-def test_a_finger_is_shown_no_longer_than_it_is():
+def test_foreshortening_is_limited_to_its_range():
     tracker = waiting_for(Hand())
     assert tracker.foreshortening == 1.0
     tracker.foreshortening = 0.7
@@ -399,10 +404,10 @@ def test_a_finger_is_shown_no_longer_than_it_is():
     assert tracker.foreshortening == 0.7
 
 
-def test_times_run_forward():
+def test_times_must_not_decrease():
     hand = Hand()
     image, tracker = hand.draw(), waiting_for(hand)
-    before = [told(track) for track in follow(tracker, [image] * 8)]
+    before = [contents(track) for track in follow(tracker, [image] * 8)]
     spoiled = waiting_for(hand)
     after = []
     for i in range(8):
@@ -416,9 +421,9 @@ def test_times_run_forward():
                 continue  # the first frame may have any time
             with pytest.raises(InvalidInputError, match=complaint):
                 spoiled.update(image, wrong)
-        after.append(told(spoiled.update(image, FRAME_S * i)))
+        after.append(contents(spoiled.update(image, FRAME_S * i)))
     assert after == before
-    assert tracker.update(image, FRAME_S * 7).status == "tracking"  # at the last frame's is right
+    assert tracker.update(image, FRAME_S * 7).status == "tracking"  # equal times are allowed
 
 
 SOUND: dict[str, Callable[[Track], bool]] = {
@@ -439,7 +444,7 @@ SOUND: dict[str, Callable[[Track], bool]] = {
     st.sampled_from(["left", "right", "none"]),
     st.booleans(),
 )
-def test_any_images_are_survived(seed, shape, kind, model, thumb, coloured):
+def test_arbitrary_images_give_valid_tracks(seed, shape, kind, model, thumb, coloured):
     rng = np.random.default_rng(seed)
     start = StartPose(rng.uniform(-50, 350, 2), rng.uniform(-10, 10), 10 ** rng.uniform(-1, 3))
     options = {"model": model, "acquire": {"settle_frames": 1, "accept": {"min_inliers": 0.1}}}
@@ -466,7 +471,7 @@ def test_any_images_are_survived(seed, shape, kind, model, thumb, coloured):
 
 
 def before_its_shadow(shade: float, seed: int) -> np.ndarray:
-    """A finger that points right at (200, 120), shaded on one side, and its shadow ahead of it."""
+    """A finger along +u with its tip at (200, 120), shaded on one side, and its shadow ahead."""
     v, u = np.indices((240, 320), dtype=float)
     away2 = ((u - 245.0) / 60.0) ** 2 + ((v - 120.0) / 45.0) ** 2
     table = (1.0 - 0.3 * np.exp(-1.5 * away2))[..., None] * [120.0, 140.0, 150.0]
@@ -480,8 +485,8 @@ def before_its_shadow(shade: float, seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("shade", [0.2, 0.35])
 @pytest.mark.parametrize("seed", range(3))
-def test_a_finger_is_acquired_before_its_own_shadow(shade: float, seed: int):
-    # The shadow is a little like the finger's shaded side, as a pattern's band is like all of it.
+def test_a_finger_is_acquired_in_front_of_its_own_shadow(shade: float, seed: int):
+    # The shadow resembles the finger's shaded side; a band of a pattern would resemble all of it.
     image = before_its_shadow(shade, seed)
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     tracker = ContourTracker(Template.pistol("none"), StartPose((200.0, 120.0), 0.0, 85.0))

@@ -38,7 +38,7 @@ GRID = np.array([[x, y] for x in (0.0, 200.0, 400.0) for y in (0.0, 200.0, 400.0
 
 
 def close_to_sampled(sampled, analytic, tolerance=0.05):
-    """Every entry within 5 % of what its variances allow (the diagonal: of itself)."""
+    """Return whether every entry is within `tolerance` of the product of its two sigmas."""
     sigma = np.sqrt(np.diag(analytic))
     return np.all(np.abs(sampled - analytic) <= tolerance * np.outer(sigma, sigma))
 
@@ -94,7 +94,7 @@ def test_homography_covariance_has_rank_eight_and_a_gauge():
 
 
 def test_homography_covariance_stays_exact_far_from_the_planes_origin():
-    """A robot's base may be far away: the image of a point must be as sure as before."""
+    """A robot's base may be far away: the covariance of a point's image must not change."""
     image = images_of(camera(15.0), CORNERS)
     variances = []
     for shift in ([0.0, 0.0], [4e5, -3e5]):
@@ -105,7 +105,7 @@ def test_homography_covariance_stays_exact_far_from_the_planes_origin():
     assert np.allclose(variances[0], variances[1], rtol=1e-5)
 
 
-def test_nearly_collinear_references_are_unsure_across_their_line():
+def test_nearly_collinear_references_are_uncertain_across_their_line():
     sigmas = []
     for height in (400.0, 40.0, 4.0):
         plane = CORNERS * [1.0, height / 400.0]
@@ -117,7 +117,7 @@ def test_nearly_collinear_references_are_unsure_across_their_line():
 
 
 def image_lines(anchor, angle, covariance):
-    """Lines at angles with their covariances: the plane is the image."""
+    """Lines and their covariances, with the image as the plane."""
     return constraint_lines(np.eye(3), np.zeros((9, 9)), anchor, angle, covariance)
 
 
@@ -133,7 +133,7 @@ def test_the_covariance_of_a_line_is_that_of_a_shift_and_a_turn():
 
 
 def chained(T, H, anchor, angle, covariance):
-    """The chain in matrices: finger line, eq. 2, and both derivatives at once."""
+    """Constraint line by matrices: finger line, eq. 2, and both Jacobians."""
     s, c = np.sin(angle), np.cos(angle)
     line = np.array([-s, c, s * anchor[0] - c * anchor[1]])
     by_finger = np.array([[0.0, -c], [0.0, -s], [-1.0, c * anchor[0] + s * anchor[1]]])
@@ -144,7 +144,7 @@ def chained(T, H, anchor, angle, covariance):
     return m / length, spread / length**2
 
 
-def test_constraint_lines_are_the_chain_of_matrices_in_arrays_and_in_floats():
+def test_constraint_lines_of_arrays_and_of_floats_equal_the_matrix_formula():
     rng = np.random.default_rng(47)
     for _ in range(200):
         T = rng.normal(size=(3, 3)) * 10.0 ** rng.integers(-3, 3, (3, 1))
@@ -174,7 +174,7 @@ def test_constraint_lines_are_the_chain_of_matrices_in_arrays_and_in_floats():
         assert (abs(their_spread - spread) <= 1e-11 * sizes).all()
 
 
-def test_the_horizon_is_no_constraint_line():
+def test_the_horizon_gives_no_constraint_line():
     level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 4.0], [0.0, 0.0, 1.0]])
     line, spread = constraint_lines(level, np.zeros((9, 9)), [0.0, 4.0], 0.0, np.eye(2))
     assert np.isnan(line).all()
@@ -228,7 +228,7 @@ def test_constraint_line_covariance_meets_monte_carlo():
         for along in (-300.0, 0.0, 500.0):
             X = foot + along * tangent
             homogeneous = np.array([*X, 1.0])
-            # Lines may come out with either sign; near the exact one theirs is its own.
+            # The sign of a line is arbitrary, but equal for lines near the exact one.
             sampled = np.var(distance(lines[:, k], X))
             assert sampled == pytest.approx(homogeneous @ covariance[k] @ homogeneous, rel=0.05)
 
@@ -250,7 +250,7 @@ def test_the_indicated_points_covariance_and_coverage_meet_monte_carlo(azimuths)
         ]
         assert np.mean(inside) == pytest.approx(confidence, abs=slack)
     if len(azimuths) == 3:
-        # One degree of freedom is left to contradict.
+        # One degree of freedom is redundant.
         excess = np.array([each.chi2 for each in found])
         assert np.mean(excess) == pytest.approx(1.0, abs=0.06)
         assert np.mean(excess < chi2(1).ppf(0.95)) == pytest.approx(0.95, abs=0.01)
@@ -258,7 +258,7 @@ def test_the_indicated_points_covariance_and_coverage_meet_monte_carlo(azimuths)
         assert max(each.chi2 for each in found) < 1e-9
 
 
-def test_the_covariance_that_leaves_the_references_out_is_too_small():
+def test_a_covariance_without_the_references_is_too_small():
     surer = LINE_COVARIANCE / 16
     (lines, _), _, target = sampled_constraints((-15.0, 15.0), 44, 2000, surer)
     cameras, _, anchor, angle = scene((-15.0, 15.0))
@@ -316,7 +316,7 @@ def test_parallel_lines_have_no_point_and_no_bound(crossing):
 
 
 def crossing_lines(crossing, sigma_offset, sigma_angle, lever):
-    """Two lines that cross at the origin, known best at `lever` on the first one's side."""
+    """Two lines that cross at the origin, most accurate at distance `lever` from it."""
     angle = np.array([-crossing / 2, crossing / 2])
     anchor = lever * np.column_stack([np.cos(angle), np.sin(angle)])
     spread = np.broadcast_to(np.diag([sigma_offset**2, sigma_angle**2]), (2, 2, 2))
@@ -332,7 +332,7 @@ def test_a_well_crossed_point_is_not_widened():
 
 @pytest.mark.parametrize("lever", [-2.0, 0.0, 2.0])
 def test_widening_is_fiellers_interval(lever):
-    """On the bisector at ±D the lines are apart by φD; its variance there, halved, excludes it."""
+    """At ±D on the bisector χ² is (φD)² / 2σ², σ that of a line there; the variance is D² / χ²."""
     crossing, sigma_offset, sigma_angle, D = 0.02, 0.001, 0.004, 5.0
     lines, covariances = crossing_lines(crossing, sigma_offset, sigma_angle, lever)
     found = intersect(lines, covariances)
@@ -346,8 +346,8 @@ def test_widening_is_fiellers_interval(lever):
     assert widened[0, 0] > found.covariance[0, 0]
 
 
-def test_widening_of_contradictory_lines_counts_only_what_distance_adds():
-    """Three nearly parallel lines, one far off: the contradiction excludes no point by itself."""
+def test_widening_of_contradictory_lines_counts_only_the_increase_with_distance():
+    """Three nearly parallel lines, one far off: the minimum of χ² is subtracted."""
     angle, sigma_offset, sigma_angle, D = np.array([-0.01, 0.0, 0.01]), 0.001, 0.002, 5.0
     anchor = np.array([[2.0, -0.02], [2.0, 0.02], [2.0, 0.02]])
     spread = np.broadcast_to(np.diag([sigma_offset**2, sigma_angle**2]), (3, 2, 2))
@@ -370,11 +370,11 @@ def test_widening_of_contradictory_lines_counts_only_what_distance_adds():
     assert max(expected) > 2 * np.linalg.eigvalsh(found.covariance)[1]
 
 
-def test_a_crossing_that_may_be_an_accident_is_widened_beyond_any_use():
-    """Coincident lines, angle known to σ: the crossing found is noise, and may look sharp."""
+def test_a_crossing_that_noise_explains_is_widened_beyond_the_limit():
+    """Coincident lines: noise makes them cross, and the first-order covariance may be small."""
     rng = np.random.default_rng(46)
     lever, sigma_offset, sigma_angle = 100.0, 0.05, 0.002
-    flattered = 0
+    underestimated = 0
     for turns, shifts in zip(
         rng.normal(0, sigma_angle, (2000, 2)), rng.normal(0, sigma_offset, (2000, 2)), strict=True
     ):
@@ -383,10 +383,10 @@ def test_a_crossing_that_may_be_an_accident_is_widened_beyond_any_use():
         lines, covariances = image_lines(anchor, turns, spread)
         found = intersect(lines, covariances)
         limit = 20.0
-        flattered += bool(np.sqrt(np.linalg.eigvalsh(found.covariance)[-1]) < limit)
+        underestimated += bool(np.sqrt(np.linalg.eigvalsh(found.covariance)[-1]) < limit)
         widened = widened_covariance(lines, covariances, found, 4 * limit)
         assert np.isinf(widened).any() or np.sqrt(np.linalg.eigvalsh(widened)[-1]) > limit
-    assert flattered > 200  # what first order alone would have let pass
+    assert underestimated > 200  # accepted by the first-order covariance
 
 
 def test_confidence_ellipse_is_the_chi2_of_two_dimensions():
@@ -402,7 +402,7 @@ def test_confidence_ellipse_is_the_chi2_of_two_dimensions():
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.4, np.pi / 2, 3.0])
-def test_an_ellipse_lies_where_it_says(turn):
+def test_an_ellipse_has_the_axes_of_its_covariance(turn):
     major = np.array([np.cos(turn), np.sin(turn)])
     minor = np.array([-major[1], major[0]])
     covariance = 9.0 * np.outer(major, major) + 1.0 * np.outer(minor, minor)
@@ -417,8 +417,8 @@ def test_an_ellipse_lies_where_it_says(turn):
     assert ellipse.polygon(100).shape == (100, 2)
 
 
-def test_the_papers_ellipse_is_its_recipe():
-    """For small noise ±2σ displacements add up to twice the first-order standard deviations."""
+def test_the_papers_ellipse_is_first_order_for_small_noise():
+    """For small noise, displacements by ±2σ give twice the first-order standard deviations."""
     cameras, target, anchor, angle = scene((-15.0, 15.0))
     T = np.stack([view.image_from_plane for view in cameras])
     spread = np.broadcast_to(np.diag(np.diag(LINE_COVARIANCE)), (2, 2, 2)) * 1e-4

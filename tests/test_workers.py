@@ -1,4 +1,4 @@
-"""Work shared out among processes: however the program ends, no process is left behind."""
+"""Worker processes: none is left behind, however the program ends."""
 
 import os
 import signal
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs /
 
 WORKERS = 2
 
-# Each worker says that it works by a file named after it, and never comes to an end by itself.
+# Each worker creates a file named after its process id, then waits for ever.
 PROGRAM = """
 import os, sys, threading
 from pathlib import Path
@@ -40,7 +40,7 @@ if __name__ == "__main__":
 
 
 def is_running(pid: int) -> bool:
-    """Whether a process is there; one that has ended may wait to be asked how."""
+    """Return whether a process exists and is not a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
@@ -48,7 +48,7 @@ def is_running(pid: int) -> bool:
 
 
 def children(pid: int) -> list[int]:
-    """Processes that another one has started and that still run."""
+    """Return the existing child processes of a process."""
     found = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -62,7 +62,7 @@ def children(pid: int) -> list[int]:
 
 @pytest.fixture
 def program(tmp_path):
-    """A program with busy workers, in a process group of its own; and their numbers."""
+    """A program with busy workers, in a process group of its own, and their process ids."""
     script, folder = tmp_path / "program.py", tmp_path / "working"
     script.write_text(PROGRAM)
     folder.mkdir()
@@ -78,7 +78,7 @@ def program(tmp_path):
 
 @pytest.mark.parametrize("send", [os.kill, os.killpg])
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"])
-def test_a_signal_ends_program_and_workers_in_the_middle_of_their_work(program, name, send):
+def test_a_signal_ends_program_and_busy_workers(program, name, send):
     process, workers = program
     send(process.pid, getattr(signal, name))
     _, said = process.communicate(timeout=PATIENCE_S)
@@ -121,11 +121,11 @@ def test_a_worker_that_is_killed_is_an_error_and_the_others_end():
     with pytest.raises(FingerpostError, match="a worker process died"):
         lose_a_worker()
     started = set(children(os.getpid())) - before
-    # What remains looks after semaphores, for all workers that this process will ever have.
+    # Only the resource tracker remains, which serves all workers that this process will have.
     assert all(b"resource_tracker" in Path(f"/proc/{p}/cmdline").read_bytes() for p in started)
 
 
-def test_signals_are_heard_again_once_workers_have_started():
+def test_signals_are_unblocked_once_workers_have_started():
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     with sharing(WORKERS) as pool:
         assert pool.submit(abs, -3).result() == 3

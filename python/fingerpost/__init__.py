@@ -1,10 +1,10 @@
-"""Tell where on a plane a hand points, and how sure that is.
+"""Estimates the point on a plane at which a hand points, with its covariance.
 
 Two or more ordinary cameras, four reference points on the plane, a pointing hand. Nothing is
-calibrated. See `track` for the whole path, `Pointer` for images that a program pushes, and
+calibrated. See `track` for the whole pipeline, `Pointer` for images that a program pushes, and
 `ContourTracker` for one view.
 
-What stands here is imported when it is first used, so that the command line answers at once.
+Names are imported on first use, so that the command line starts at once.
 """
 
 from importlib import import_module

@@ -9,8 +9,8 @@ from fingerpost.signals import ending_at_once, is_anything_stuck
 
 
 def main() -> None:
-    """Load the command line and run it; Ctrl-C is heard from here on, until the program is gone."""
-    # Matrices are small here: threads of BLAS would only spin, for a quarter of all work.
+    """Load the command line and run it; Ctrl-C is handled until the process ends."""
+    # Matrices are small here: threads of BLAS would only spin, and take a quarter of the time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with ending_at_once():
         from fingerpost.cli import main as run_command
@@ -21,15 +21,15 @@ def main() -> None:
         _end_before_threads(end.code)
         raise
     finally:
-        # Everything is closed and said: one more Ctrl-C need not wait for Python to tidy up.
+        # Everything is closed and reported: another Ctrl-C need not wait for Python's clean-up.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _end_before_threads(code: object) -> None:
     """End the process at once if a thread is stuck in a device; return otherwise.
 
-    A thread that returns from native code while the interpreter is torn down is unwound through
-    frames that allow no unwinding, and the process aborts whatever its exit code was to be.
+    If a thread returns from native code during the interpreter's shutdown, it is unwound through
+    frames that allow no unwinding: the process aborts and loses its exit code.
     """
     if not is_anything_stuck():
         return
@@ -37,7 +37,7 @@ def _end_before_threads(code: object) -> None:
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
-        except (OSError, ValueError):  # closed, or nobody reads it: said by whoever wrote to it
+        except (OSError, ValueError):  # closed, or nobody reads it: reported by its writer
             code = code or 1
     os._exit(code if isinstance(code, int) else int(code is not None))
 

@@ -1,36 +1,36 @@
 """The stages of the contour tracker, written in Rust (crate ``fingerpost-core``).
 
-One frame's way is search → fit → accept: `EdgeSearch` measures edges along the normals of a
-contour, `Fitter` turns the measurements into a step of the shape vector that a `ShapeSpace`
-allows, and `ContourTracker` runs both over the life of a hand, from the `Template` that waits for
-it to the finger line of every frame. The other stages stand here to be studied, tested and
-combined anew; who only wants to track needs `Template`, `StartPose` and `ContourTracker`.
+A frame is processed in three stages: `EdgeSearch` measures edges along the normals of a contour,
+`Fitter` solves for a step of the shape vector in a `ShapeSpace`, and the fit is accepted or
+refused. `ContourTracker` runs them for one hand in one view, from the `Template` at its start pose
+to the finger line of every frame. Tracking needs only `Template`, `StartPose` and
+`ContourTracker`; the other classes are for study, for tests and for other trackers.
 
 Conventions
 -----------
-Pixel (0, 0) is the centre of the top-left pixel, u runs right and v down; a point is (u, v).
+Pixel (0, 0) is the centre of the top-left pixel; u points right and v down; a point is (u, v).
 Angles are in radians from +u towards +v. Template coordinates (p, q) have their origin in the
-middle of the visible index finger, which is one unit long; p runs towards the tip, q to the right
-of the pointing direction.
+middle of the visible index finger, whose length is 1; p points towards the tip, q to the right of
+the pointing direction.
 
-*Images* are NumPy arrays of ``uint8`` that are read where they lie, without a copy, whatever the
-distance from row to row. The pixels of a row must be contiguous and the rows must follow one
-another in memory: a cropped image will do, one that is mirrored, transposed or a single channel of
-another needs `numpy.ascontiguousarray`. Nothing may write to an image while a call works on it.
+*Images* are NumPy arrays of ``uint8``. They are not copied, and the stride between rows may be
+any. The pixels of a row must be contiguous and the rows must follow one another in memory: a
+cropped image is accepted; one that is mirrored, transposed or a single channel of another needs
+`numpy.ascontiguousarray`. Do not write to an image while a call uses it.
 
-*Other arrays* may be anything that NumPy reads as real numbers. Arrays that come back are
-read-only.
+*Other arrays* may be anything that NumPy reads as real numbers. Returned arrays are read-only.
 
-*Options* are nested dictionaries that name only what differs from the defaults, which the property
-``options`` of every stage tells; an unknown key is refused with its path.
+*Options* are nested dictionaries with the values that differ from the defaults. The property
+``options`` of every stage returns all values in force. An unknown key is refused with its path.
 
-*Threads*: whatever takes longer than some microseconds releases the GIL. Objects are immutable and
-may be shared, but for `ContourTracker`, `Background`, `HandFinder` and `PlaneRegistration`: while
-one is at work in one thread, any use of it in another raises `fingerpost.errors.FingerpostError`.
+*Threads*: a call that takes longer than some microseconds releases the GIL. Objects are immutable
+and may be shared between threads, except `ContourTracker`, `Background`, `HandFinder` and
+`PlaneRegistration`: while a call on one of these runs in one thread, any use of it in another
+raises `fingerpost.errors.FingerpostError`.
 
-Bad input raises `fingerpost.errors.InvalidInputError`, a `ValueError`, that names the value and
-what would be right; an object of the wrong class raises `TypeError`. A hand that is not there is
-no error but a status.
+Invalid input raises `fingerpost.errors.InvalidInputError`, a `ValueError` whose message states the
+value and the valid ones. An object of the wrong class raises `TypeError`. The absence of a hand is
+a status, not an error.
 """
 
 from collections.abc import Mapping, Sequence
@@ -79,167 +79,172 @@ __all__ = [
 # --- options ---------------------------------------------------------------------------------
 
 class _BackgroundOptions(TypedDict, total=False):
-    """How a background is learned."""
+    """Options of a `Background`."""
 
     learn_frames: int
-    """Visits that a level must have lasted before its pixel is known, 1 to 200."""
+    """Number of observations of a level from which its pixel is known, 1 to 200."""
     rate: float
-    """Part by which mean and variance take over a visit that agrees, 0.001 to 1."""
+    """Learning rate of the running mean and variance of a pixel, 0.001 to 1."""
     absorb_frames: int
-    """Frames for which something new has to stay until it is background, 4 to 1000."""
+    """Number of frames after which a new object becomes background, 4 to 1000."""
     noise_grey: float
     """Least standard deviation of a pixel about its level [grey levels], 0.1 to 64."""
     changed_sigmas: float
-    """A pixel this many standard deviations away from its level has changed, 1 to 20."""
+    """Difference from its level beyond which a pixel has changed [standard deviations], 1 to 20."""
     shadow_light: float
-    """Light that the deepest shadow leaves, 0 to 1; 1 where there are none."""
+    """Ratio of brightness in the deepest shadow, 0 to 1; 1 if there are no shadows."""
     void_share: float
-    """The camera has moved when more of the image than this has changed, 0 to 1."""
+    """Fraction of changed pixels above which the camera has moved, 0 to 1.
+
+    Only pixels that would show a motion of the camera count.
+    """
 
 class _FinderOptions(TypedDict, total=False):
-    """What a finder looks for."""
+    """Options of a `HandFinder`."""
 
     min_half_width: float
-    """Half-width of the slimmest finger [parts of the longer side], 0.003 to 0.1."""
+    """Half-width of the slimmest finger, as a fraction of the image's longer side, 0.003 to 0.1."""
     max_half_width: float
-    """Half-width of the stoutest finger [the same], above the least and up to 0.2."""
+    """Half-width of the widest finger, as the same fraction, above the minimum and up to 0.2."""
     min_gradient_grey: float
-    """The least change of brightness from cell to cell that is an edge [grey levels], 1 to 100."""
+    """Minimum change of brightness from cell to cell at an edge [grey levels], 1 to 100."""
     candidates: int
-    """The most candidates that are given, 1 to 100."""
+    """Maximum number of candidates, 1 to 100."""
 
 class _SearchOptions(TypedDict, total=False):
-    """How edges are looked for."""
+    """Options of an `EdgeSearch`."""
 
     scale_px: float
     """Scale s of the derivative of Gaussian [px], 0.5 to 8."""
     blur_px: float
-    """Blur σ_b of the edges in the image [px], 0 to 8; contrast and variance depend on it."""
+    """Blur σ_b of the edges in the image [px], 0 to 8; only contrast and variance depend on it."""
     noise_grey: float
     """Standard deviation σ_n of the image noise [grey levels], 0.1 to 64."""
     min_contrast_grey: float
-    """The least contrast that counts as an edge [grey levels], 0 to 255."""
+    """Minimum contrast of an edge [grey levels], 0 to 255."""
 
 class _FitOptions(TypedDict, total=False):
-    """How offsets become a step of the shape vector."""
+    """Options of a `Fitter`."""
 
     loss: float | Literal["none"]
-    """Cutoff of Tukey's biweight [robust standard deviations], above 1; or plain least squares."""
+    """Cutoff of Tukey's biweight [robust standard deviations], above 1; "none": least squares."""
     solve: Literal["joint", "two-stage"]
-    """All components at once; or translation first, then the others, as the 1994 tracker did."""
+    """All components at once; or translation first, then the others, as in the 1994 tracker."""
     max_iterations: int
-    """At most this many reweighted solutions, 1 to 100."""
+    """Maximum number of reweighted solutions, 1 to 100."""
     min_scale_px: float
-    """The robust scale of the residual offsets is never taken below this [px], 0 to 10."""
+    """Lower bound on the robust scale of the residual offsets [px], 0 to 10."""
 
 class _AcceptOptions(TypedDict, total=False):
-    """When a fit counts."""
+    """Conditions for accepting a fit."""
 
     min_inliers: float
-    """Least part of the visible samples whose edges agree with the fit, 0 to 1."""
+    """Minimum fraction of the visible samples whose edges agree with the fit, 0 to 1."""
     max_residual_px: float
-    """Largest root mean square of their residual offsets [px], positive; a fifth of the finger's
+    """Maximum root mean square of their residual offsets [px], positive; a fifth of the finger's
     half-width if that is more."""
 
 class _AcquireOptions(TypedDict, total=False):
-    """How the template waits for the hand."""
+    """Options of acquisition."""
 
     half_length_px: float
     """Half-length of the search lines [px], 1 to 128."""
     accept: _AcceptOptions
-    """When a fit counts."""
+    """Conditions for accepting a fit."""
     settle_frames: int
-    """Accepted frames in a row until the hand is acquired, at least 1."""
+    """Number of consecutive accepted frames until the hand is acquired, at least 1."""
     settle_change: float
-    """Largest change of the finger's half-width from frame to frame, in parts of it, positive."""
+    """Maximum relative change of the finger's half-width from frame to frame, positive."""
     max_scale: float
-    """The hand is between 1 / this and this times as wide as the waiting template, above 1."""
+    """Maximum ratio of the hand's width to the initial template's, or its inverse, above 1."""
 
 class _TrackOptions(TypedDict, total=False):
-    """How the hand is followed."""
+    """Options of tracking."""
 
     half_length_px: float
-    """Longest half-length of the search lines of a hand that moves as expected [px], 1 to 128.
+    """Maximum half-length of the search lines of a hand that moves as predicted [px], 1 to 128.
 
-    A hand that is not found there is sought this much further, and for every frame without it once
-    more.
+    If the hand is not found there, the search range grows by this length, and again for every
+    frame without it.
     """
     accept: _AcceptOptions
-    """When a fit counts."""
+    """Conditions for accepting a fit."""
     lose_after_frames: int
-    """Frames in a row without an accepted fit until the hand is lost, at least 1."""
+    """Number of consecutive frames without an accepted fit until the hand is lost, at least 1."""
     appearance_rate: float
-    """Part of the known appearance that every accepted frame replaces, 0 to 1."""
+    """Learning rate of the appearance model per accepted frame, 0 to 1."""
     dynamics: _DynamicsOptions
-    """How the hand moves."""
+    """Motion model of the hand."""
 
 class _DynamicsOptions(TypedDict, total=False):
-    """How a hand moves in the image between frames; a Kalman filter predicts it.
+    """Motion model of a hand in the image: a Kalman filter with constant velocity.
 
-    Accelerations and speeds are root mean squares, along u and along v or of the finger's angle.
+    Accelerations and speeds in pixels are those along u and those along v.
     """
 
     acceleration_px_s2: float
-    """Typical acceleration [px/s²], 1 to 1e5."""
+    """Root mean square acceleration [px/s²], 1 to 1e5."""
     acceleration_rad_s2: float
-    """Typical angular acceleration [rad/s²], 0.01 to 1000."""
+    """Root mean square angular acceleration of the finger [rad/s²], 0.01 to 1000."""
     acceleration_lasts_s: float
-    """How long an acceleration keeps its direction [s], 0.001 to 1."""
+    """Correlation time of the acceleration [s], 0.001 to 1."""
     first_speed_px_s: float
-    """Typical speed of a hand that is first seen [px/s], 0 to 1e5."""
+    """Standard deviation of the initial speed [px/s], 0 to 1e5."""
     first_speed_rad_s: float
-    """The same of the finger's angle [rad/s], 0 to 100."""
+    """Standard deviation of the initial angular speed of the finger [rad/s], 0 to 100."""
     confidence: float
     """Probability that the search along a normal reaches the hand's edge, 0.5 to 0.999999."""
     longest_gap_s: float
-    """A hand unseen for longer than this is not followed but found again [s], 0.001 to 60."""
+    """Longest gap over which a hand is tracked; after a longer one it is acquired again [s],
+    0.001 to 60."""
 
 class _TrackerOptions(TypedDict, total=False):
-    """Everything that can be set about a `ContourTracker`."""
+    """Options of a `ContourTracker`."""
 
     model: Literal["ribbon", "paper"]
-    """Finger and thumb with widths of their own; or the planar template of 1994."""
+    """Model of the hand: "ribbon", bands with independent widths of finger and thumb; "paper", the
+    planar template of 1994."""
     samples: int
-    """Samples along the contour, 8 to 2000."""
+    """Number of samples along the contour, 8 to 2000."""
     max_iterations: int
-    """Searches along the normals per shape space and frame at most, 1 to 100."""
+    """Maximum number of searches along the normals per shape space and frame, 1 to 100."""
     search: _SearchOptions
-    """What an edge is."""
+    """Edge detection."""
     polarity: Literal["bright", "dark", "unknown"]
-    """Whether the hand is brighter or darker than what is behind it."""
+    """Whether the hand is brighter or darker than its background."""
     fit: _FitOptions
-    """How offsets become a step."""
+    """Robust least squares."""
     correlation: float
-    """The covariance is multiplied by this, at least 1: neighbouring measurements share pixels."""
+    """Factor on the covariance, at least 1, because neighbouring measurements share pixels."""
     refine: bool
-    """Whether the band model's finger line is refined by the flanks alone, and told with those of
-    the frames before; the paper's never is."""
+    """Whether the band model's finger line is refined by the flanks alone and combined with the
+    lines of earlier frames; the paper's model is never refined."""
     acquire: _AcquireOptions
-    """Until the hand is acquired."""
+    """Options until the hand is acquired."""
     track: _TrackOptions
-    """From then on."""
+    """Options from then on."""
 
 class _ThumbProportions(TypedDict, total=False):
-    """The thumb of a pistol; lengths are in units of the visible index finger."""
+    """Shape of a pistol's thumb; lengths are in units of the visible index finger."""
 
     base: float
-    """Where the thumb's axis meets the finger's: p of that point, −1 to 0.5."""
+    """p of the intersection of the thumb's axis with the finger's, −1 to 0.5."""
     angle_rad: float
     """Angle between the two axes [rad], 0.5 to 2."""
     length: float
-    """Length of the thumb's axis from there to its apex, 0.3 to 2."""
+    """Length of the thumb's axis from the intersection to its apex, 0.3 to 2."""
     half_width: float
-    """Half the thumb's width, 0.03 to 0.4."""
+    """Half-width of the thumb, 0.03 to 0.4."""
     far_flank: float
-    """Part of the thumb's far flank that the outline follows back from the tip, 0 to 1."""
+    """Fraction of the thumb's far flank that the outline follows back from the tip, 0 to 1."""
 
 class _Proportions(TypedDict, total=False):
-    """The shape of a pistol; lengths are in units of the visible index finger."""
+    """Shape of a pistol; lengths are in units of the visible index finger."""
 
     half_width: float
-    """Half the finger's width, 0.03 to 0.4."""
+    """Half-width of the finger, 0.03 to 0.4."""
     flank_start: float
-    """Where the outline begins on the finger's flank: p from −0.5 to 0.3."""
+    """Start of the outline on the finger's flank: p from −0.5 to 0.3."""
     thumb: _ThumbProportions | None
     """The thumb; None for a finger alone."""
 
@@ -249,10 +254,10 @@ class _Proportions(TypedDict, total=False):
 class BSpline:
     """A quadratic or cubic B-spline basis: degree, knots, open or closed.
 
-    It has no shape until control points give it one; they come as an argument, because every
-    deformation of a contour moves them and leaves the basis as it is.
+    The control points, which define the shape, are an argument of the methods, because every
+    deformation of a contour moves them and leaves the basis unchanged.
 
-    Immutable; two are equal if degree, knots and closure are.
+    Immutable; two are equal if their degrees, knots and closures are.
 
     References
     ----------
@@ -269,13 +274,13 @@ class BSpline:
             2 or 3.
         knots : (n + degree + 1,)
             For n control points; not decreasing. The domain runs from knot ``degree`` to knot n.
-            Inner knots may occur ``degree`` times, which makes a corner, the first and the last
-            ``degree + 1`` times, which makes the curve start and end at a control point.
+            Inner knots may occur ``degree`` times, which makes a corner. The first and the last
+            may occur ``degree + 1`` times; the curve then starts and ends at a control point.
 
         Raises
         ------
         InvalidInputError
-            Another degree; too few, decreasing, too often repeated or not finite knots;
+            An invalid degree; too few, decreasing, non-finite or too often repeated knots;
             neighbours that differ by less than 1e-10 of the domain's larger end.
         """
 
@@ -288,12 +293,12 @@ class BSpline:
         degree
             2 or 3.
         breaks : (B,)
-            The knots with both ends once: ``B + degree − 1`` control points.
+            The knots, each end once, for ``B + degree − 1`` control points.
 
         Raises
         ------
         InvalidInputError
-            Fewer than two breaks, else as `open`.
+            Fewer than two breaks; otherwise as for `open`.
         """
 
     @staticmethod
@@ -305,12 +310,12 @@ class BSpline:
         degree
             2 or 3.
         control_points
-            Their number, from ``degree + 1`` to 2^20.
+            Number of control points, from ``degree + 1`` to 2^20.
 
         Raises
         ------
         InvalidInputError
-            Another degree or number.
+            A degree or number out of range.
         """
 
     @staticmethod
@@ -323,13 +328,13 @@ class BSpline:
             2 or 3.
         knots : (n + 1,)
             For n control points; not decreasing, the last one a period after the first. Any knot
-            may occur ``degree`` times, which makes a corner; the first and the last are the same
-            knot of the curve.
+            may occur ``degree`` times, which makes a corner. The first and the last are the same
+            knot of the curve, so their multiplicities add.
 
         Raises
         ------
         InvalidInputError
-            Fewer than ``degree + 2`` knots, else as `open`.
+            Fewer than ``degree + 2`` knots; otherwise as for `open`.
         """
 
     @staticmethod
@@ -341,12 +346,12 @@ class BSpline:
         degree
             2 or 3.
         control_points
-            Their number, from ``degree + 1`` to 2^20.
+            Number of control points, from ``degree + 1`` to 2^20.
 
         Raises
         ------
         InvalidInputError
-            Another degree or number.
+            A degree or number out of range.
         """
 
     @property
@@ -355,22 +360,22 @@ class BSpline:
 
     @property
     def is_closed(self) -> bool:
-        """Whether the curve ends where it starts."""
+        """Whether the curve is closed."""
 
     @property
     def control_point_count(self) -> int:
-        """Number of control points that the curve needs."""
+        """Number of control points of the curve."""
 
     @property
     def knots(self) -> NDArray[np.float64]:
-        """The knots as `open` or `closed` takes them."""
+        """The knots in the form taken by `open` or `closed`."""
 
     @property
     def domain(self) -> tuple[float, float]:
-        """First and last parameter; a closed curve takes any other as well and repeats itself."""
+        """First and last parameter. A closed curve is periodic and takes any parameter."""
 
     def basis(self, parameters: ArrayLike) -> BasisRows:
-        """Evaluate the basis functions that are not zero, with their derivatives.
+        """Evaluate the non-zero basis functions and their derivatives.
 
         At a knot the derivatives are those from the right, at the end of an open curve those from
         the left.
@@ -383,7 +388,7 @@ class BSpline:
         Raises
         ------
         InvalidInputError
-            Parameters elsewhere.
+            Parameters that are not finite, or outside the domain of an open curve.
         """
 
     def evaluate(self, control_points: ArrayLike, parameters: ArrayLike) -> CurvePoints:
@@ -392,15 +397,15 @@ class BSpline:
         Parameters
         ----------
         control_points : (n, 2)
-            As many as `control_point_count`, in any unit.
+            n is `control_point_count`; in any unit.
         parameters : (N,)
             Finite; on an open curve within `domain`.
 
         Raises
         ------
         InvalidInputError
-            Another number of control points, one that is used and not finite, or parameters
-            elsewhere.
+            A wrong number of control points; one that contributes to the result and is not
+            finite; parameters as for `basis`.
         """
 
     def fit(
@@ -410,26 +415,27 @@ class BSpline:
     ) -> SplineFit:
         """Fit control points to an ordered outline by linear least squares.
 
-        They minimise the sum of squared distances between each outline point and the curve at its
-        parameter.
+        The fit minimises the sum of squared distances between each outline point and the curve at
+        its parameter.
 
         Parameters
         ----------
         outline : (N, 2)
-            At least as many points as control points, in any unit. Of a closed curve the first
-            need not be repeated.
+            At least as many points as control points, in any unit. The first point of a closed
+            outline need not be repeated.
         parametrization : word or (N,)
-            How the points get the parameters at which the curve shall meet them: in proportion to
-            the length of the polygon through them, the usual choice for an outline traced at even
-            steps; in proportion to the sums of the square roots of its sides, gentler at sharp
-            turns (*The NURBS Book*, equation 9.6); or the parameters themselves, in any order.
+            Parameters of the outline points. "chord-length": in proportion to the length of the
+            polygon through them, the usual choice for an outline traced at even steps.
+            "centripetal": in proportion to the sums of the square roots of its sides, smoother at
+            sharp turns (*The NURBS Book*, equation 9.6). Or the parameters themselves, in any
+            order.
 
         Raises
         ------
         InvalidInputError
             Too few points; points that are not finite or all coincide; parameters outside the
             domain; a control point that no outline point determines (the condition of Schoenberg
-            and Whitney); more than 2^24 outline points times control points.
+            and Whitney); a product of outline points and control points above 2^24.
         """
 
     def arc_length(self, control_points: ArrayLike) -> ArcLength:
@@ -438,12 +444,12 @@ class BSpline:
         Parameters
         ----------
         control_points : (n, 2)
-            As many as `control_point_count`, in any unit.
+            n is `control_point_count`; in any unit.
 
         Raises
         ------
         InvalidInputError
-            Another number of control points, one that is not finite, or all in one place.
+            A wrong number of control points; one that is not finite; all at one place.
         """
 
     def __eq__(self, other: object, /) -> bool: ...
@@ -452,14 +458,14 @@ class BSpline:
 
 @final
 class BasisRows:
-    """The weights of the control points at N parameters of a B-spline; see `BSpline.basis`.
+    """The non-zero basis functions at N parameters of a B-spline; see `BSpline.basis`.
 
-    Every row has degree + 1 entries, for the control points that act at the parameter.
+    A row holds the weights of the degree + 1 control points that act at its parameter.
     """
 
     @property
     def indices(self) -> NDArray[np.int64]:
-        """Which control points those are, counted from 0, (N, degree + 1); all different."""
+        """Indices of these control points, from 0, (N, degree + 1); all different in a row."""
 
     @property
     def values(self) -> NDArray[np.float64]:
@@ -467,11 +473,11 @@ class BasisRows:
 
     @property
     def first_derivatives(self) -> NDArray[np.float64]:
-        """First derivatives of the weights by the parameter; their sum is 0."""
+        """First derivatives of the weights by the parameter, (N, degree + 1); their sum is 0."""
 
     @property
     def second_derivatives(self) -> NDArray[np.float64]:
-        """Second derivatives of the weights by the parameter; their sum is 0."""
+        """Second derivatives of the weights by the parameter, (N, degree + 1); their sum is 0."""
 
 @final
 class CurvePoints:
@@ -479,19 +485,19 @@ class CurvePoints:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Where the curve is, (N, 2), in the unit of the control points."""
+        """Positions, (N, 2), in the unit of the control points."""
 
     @property
     def first_derivative(self) -> NDArray[np.float64]:
-        """Along the tangent in the direction of growing parameter, (N, 2); zero at a cusp."""
+        """Along the tangent in the direction of increasing parameter, (N, 2); zero at a cusp."""
 
     @property
     def second_derivative(self) -> NDArray[np.float64]:
-        """Its component across the tangent bends the curve, (N, 2)."""
+        """Second derivatives, (N, 2); the component across the tangent determines the curvature."""
 
 @final
 class SplineFit:
-    """A least-squares fit of a B-spline and how good it is; see `BSpline.fit`."""
+    """A least-squares fit of a B-spline and its quality; see `BSpline.fit`."""
 
     @property
     def control_points(self) -> NDArray[np.float64]:
@@ -503,7 +509,7 @@ class SplineFit:
 
     @property
     def rms_residual(self) -> float:
-        """Root mean square distance of outline points and curve at their parameters."""
+        """Root mean square distance between outline points and the curve at their parameters."""
 
     @property
     def max_residual(self) -> float:
@@ -511,13 +517,13 @@ class SplineFit:
 
     @property
     def condition(self) -> float:
-        """How many times larger a relative error of the outline can be in the control points."""
+        """Condition number: it bounds the control points' relative error over the outline's."""
 
 @final
 class ArcLength:
     """The arc length along one curve; see `BSpline.arc_length`.
 
-    Lengths are right to 1e-10 of the control polygon's length.
+    Lengths are accurate to 1e-10 of the control polygon's length.
     """
 
     @property
@@ -525,42 +531,42 @@ class ArcLength:
         """Length of the whole curve, in the unit of its control points."""
 
     def parameter_at(self, lengths: ArrayLike) -> NDArray[np.float64]:
-        """Find the parameters at given lengths from the start of the domain.
+        """Return the parameters at given lengths from the start of the domain.
 
         Parameters
         ----------
         lengths : (N,)
-            On an open curve in [0, `total`]; a closed one is gone round.
+            In [0, `total`] on an open curve; a closed one takes any length and wraps around.
 
         Returns
         -------
         (N,)
-            Where a curve halts on its way, the parameter at which it moves on.
+            Where the position is constant over an interval of parameters, the last of them.
 
         Raises
         ------
         InvalidInputError
-            A length that is not finite, or not on an open curve.
+            A length that is not finite, or outside [0, `total`] on an open curve.
         """
 
     def equally_spaced(self, samples: int) -> NDArray[np.float64]:
-        """Find parameters at equal arc length from one to the next.
+        """Return parameters at equal steps of arc length.
 
         Parameters
         ----------
         samples
-            How many, up to 2^20: at least 2 on an open curve, whose ends are among them, and 1 on
-            a closed one, whose last is as far from the first again.
+            Number of parameters, up to 2^20: at least 2 on an open curve, which includes both
+            ends; at least 1 on a closed one, where the last is one step before the first.
 
         Returns
         -------
         (samples,)
-            In rising order, beginning at the start of the domain.
+            Increasing, from the start of the domain.
 
         Raises
         ------
         InvalidInputError
-            Another number.
+            A number out of range.
         """
 
 def sample_contour(
@@ -571,8 +577,8 @@ def sample_contour(
 ) -> ContourSamples:
     """Sample a curve at equal steps of arc length, with tangents and outward normals.
 
-    Each sample stands in the middle of its step: all stand for the same length, and none falls on
-    an end.
+    Each sample is at the middle of its step: all represent the same length, and none falls on an
+    end.
 
     Parameters
     ----------
@@ -581,7 +587,7 @@ def sample_contour(
     control_points : (n, 2)
         Its control points, in any unit.
     samples
-        How many, 1 to 2^20.
+        Number of samples, 1 to 2^20.
     hand
         The side of the direction of travel on which the hand lies, in axes like the image's:
         travelling towards +u, +v is to the right.
@@ -589,8 +595,8 @@ def sample_contour(
     Raises
     ------
     InvalidInputError
-        Control points that make no curve, a curve that halts so that a sample has no tangent,
-        another number or side.
+        Control points as for `BSpline.arc_length`; a curve with zero velocity at a sample, which
+        then has no tangent; an invalid number or side.
     """
 
 @final
@@ -607,7 +613,7 @@ class ContourSamples:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Where the samples lie, (N, 2)."""
+        """Positions of the samples, (N, 2)."""
 
     @property
     def tangent(self) -> NDArray[np.float64]:
@@ -621,8 +627,8 @@ class ContourSamples:
 class Template:
     """The B-spline rest shape of the pointing hand, with its pointing axis.
 
-    The axis runs from (−½, 0) at the knuckle to (½, 0) at the tip; because it is the basis vector
-    of p, the first column of a fitted map is the pointing direction.
+    The axis runs from (−½, 0) at the knuckle to (½, 0) at the tip. It is the basis vector of p, so
+    the first column of a fitted map is the pointing direction.
 
     Immutable; two are equal if their outlines and sides are.
 
@@ -644,7 +650,7 @@ class Template:
         thumb
             Side of the thumb, seen along the pointing direction in the image.
         proportions
-            Where the hand differs from the usual one; see `Template.proportions`.
+            Values that differ from those of the usual hand; see `Template.proportions`.
 
         Raises
         ------
@@ -670,17 +676,17 @@ class Template:
             Points in order along the contour, in any unit and in axes like the image's; at least
             as many as control points.
         knuckle, tip : (2,)
-            Where the visible finger's axis begins and ends, in the same unit.
+            Start and end of the visible finger's axis, in the same unit.
         hand
             The side of the outline's direction of travel on which the hand lies.
         control_points
-            Of the cubic B-spline that is fitted to the outline, at least 4; None for a number that
-            suits finger and thumb.
+            Number of control points of the cubic B-spline that is fitted to the outline, at least
+            4; None for a number that suits finger and thumb.
 
         Returns
         -------
         Template
-            Without a thumb or proportions: only the tracker's model "paper" takes it.
+            It has neither thumb nor proportions, so only the tracker's model "paper" accepts it.
 
         Raises
         ------
@@ -698,11 +704,11 @@ class Template:
 
     @property
     def proportions(self) -> _Proportions | None:
-        """What a pistol was made from; None for a traced outline."""
+        """All proportions of a pistol; None for a traced outline."""
 
     @property
     def spline(self) -> BSpline:
-        """Basis of the outline."""
+        """B-spline basis of the outline."""
 
     @property
     def control_points(self) -> NDArray[np.float64]:
@@ -714,7 +720,7 @@ class Template:
         Parameters
         ----------
         samples
-            How many, 1 to 2^20; None for as many as a tracker takes.
+            Number of samples, 1 to 2^20; None for a tracker's default.
 
         Returns
         -------
@@ -724,7 +730,7 @@ class Template:
         Raises
         ------
         InvalidInputError
-            Another number.
+            A number out of range.
         """
 
     def __eq__(self, other: object, /) -> bool: ...
@@ -735,16 +741,16 @@ class Template:
 
 @final
 class ShapeSpace:
-    """Which deformations of a template are allowed, in D degrees of freedom.
+    """The allowed deformations of a template, with D degrees of freedom.
 
-    A planar space moves a template point m = (p, q) to
+    A planar space maps a template point m = (p, q) to
 
         x = c + A m,    A = [a b] = R(θ) [[α, κ], [0, β]],
 
     so the finger's axis lies along a, and the shear κ runs along the finger. The spaces differ in
-    what of (c, θ, κ, α, β) is free. Every constructor takes a map (c, A), which is frozen in the
-    space as far as the space does not free it, and returns the space with the shape vector of that
-    map. `StartPose.centre_px` and `StartPose.linear_px` are such a map.
+    the free components of (c, θ, κ, α, β). Every constructor takes a map (c, A) and returns the
+    space with the shape vector of this map; the other components keep the map's values.
+    `StartPose.centre_px` and `StartPose.linear_px` are such a map.
 
     Immutable.
 
@@ -757,7 +763,7 @@ class ShapeSpace:
     def translation(
         centre_px: ArrayLike, linear_px: ArrayLike
     ) -> tuple[ShapeSpace, NDArray[np.float64]]:
-        """Free (c): the template moves and nothing else.
+        """Free (c): translation alone.
 
         Parameters
         ----------
@@ -771,7 +777,7 @@ class ShapeSpace:
         -------
         space : ShapeSpace
         shape_vector : (D,)
-            What stands for (c, A) in the space.
+            The shape vector of (c, A).
 
         Raises
         ------
@@ -781,48 +787,47 @@ class ShapeSpace:
 
     @staticmethod
     def rigid(centre_px: ArrayLike, linear_px: ArrayLike) -> tuple[ShapeSpace, NDArray[np.float64]]:
-        """Free (c, θ): rigid motion in the image plane. Else as `translation`."""
+        """Free (c, θ): rigid motion in the image plane. Otherwise as `translation`."""
 
     @staticmethod
     def rigid_shear(
         centre_px: ArrayLike, linear_px: ArrayLike
     ) -> tuple[ShapeSpace, NDArray[np.float64]]:
-        """Free (c, θ, κ): the tracking space of the 1994 system. Else as `translation`."""
+        """Free (c, θ, κ): the tracking space of the 1994 system. Otherwise as `translation`."""
 
     @staticmethod
     def similarity(
         centre_px: ArrayLike, linear_px: ArrayLike
     ) -> tuple[ShapeSpace, NDArray[np.float64]]:
-        """Free (c, θ, s): rigid motion and a common scale of A. Else as `translation`."""
+        """Free (c, θ, s): rigid motion and a common scale of A. Otherwise as `translation`."""
 
     @staticmethod
     def similarity_shear(
         centre_px: ArrayLike, linear_px: ArrayLike
     ) -> tuple[ShapeSpace, NDArray[np.float64]]:
-        """Free (c, θ, κ, s): s scales α and β, not κ. Else as `translation`."""
+        """Free (c, θ, κ, s): s scales α and β, not κ. Otherwise as `translation`."""
 
     @staticmethod
     def affine(
         centre_px: ArrayLike, linear_px: ArrayLike
     ) -> tuple[ShapeSpace, NDArray[np.float64]]:
-        """Free (c, a, b): the acquisition space of the 1994 system. Else as `translation`."""
+        """Free (c, a, b): the acquisition space of the 1994 system. Otherwise as `translation`."""
 
     @staticmethod
     def ribbon(
         template: Template, centre_px: ArrayLike, linear_px: ArrayLike, dof: int
     ) -> tuple[ShapeSpace, NDArray[np.float64]]:
-        """Free the first components of the band template.
+        """Free the first ``dof`` components of the band template.
 
-        Finger and thumb are spheres swept along two straight spines, each band as wide as the
-        image shows it: unlike under a planar map, a finger keeps its width when it is
-        foreshortened. The whole shape vector is (c, θ, w, τ, r, b_u, b_v, w₂): the finger's
-        centre, angle, half-width and taper, and the thumb's root on the finger's spine, spine and
-        half-width.
+        Finger and thumb are spheres swept along two straight spines, each with its own width in
+        the image. Under a planar map, a foreshortened finger would lose width; a band does not.
+        The whole shape vector is (c, θ, w, τ, r, b_u, b_v, w₂): centre, angle, half-width and
+        taper of the finger; root on the finger's spine, spine and half-width of the thumb.
 
         Parameters
         ----------
         template
-            A pistol; its proportions are the components that stay as they are.
+            A pistol; its proportions determine the components that are not free.
         centre_px, linear_px
             As for `translation`; only the first column of ``linear_px`` is used.
         dof
@@ -836,7 +841,7 @@ class ShapeSpace:
         Raises
         ------
         InvalidInputError
-            A traced outline, another ``dof``, else as `translation`.
+            A traced outline; an invalid ``dof``; otherwise as for `translation`.
         """
 
     @property
@@ -845,7 +850,7 @@ class ShapeSpace:
 
     @property
     def names(self) -> list[str]:
-        """What each component of the shape vector is, with its unit."""
+        """Name and unit of each component of the shape vector."""
 
     @property
     def dof(self) -> int:
@@ -859,17 +864,17 @@ class ShapeSpace:
         Parameters
         ----------
         shape_vector : (D,)
-            Finite; a map that neither mirrors nor flattens the template, half-widths that are not
+            Finite. Its map must neither mirror nor flatten the template, and no half-width may be
             negative.
         template
-            Of a band template, one with the same thumb.
+            For a band template, a pistol with the thumb on the same side.
         samples
-            How many samples of its outline, 1 to 2^20; None for as many as a tracker takes.
+            Number of samples of the outline, 1 to 2^20; None for a tracker's default.
 
         Raises
         ------
         InvalidInputError
-            Another shape vector, template or number.
+            A shape vector, template or number that violates these conditions.
         """
 
     def normal_rows(
@@ -880,14 +885,14 @@ class ShapeSpace:
         *,
         normal: ArrayLike | None = None,
     ) -> NDArray[np.float64]:
-        """Differentiate the contour's motion along its normals by the shape vector.
+        """Return the derivatives of the contour's motion along its normals by the shape vector.
 
         Parameters
         ----------
         shape_vector, template, samples
             As for `place`.
         normal : (N, 2), optional
-            Unit vectors to measure along instead of the placed contour's normals.
+            Unit vectors n to use instead of the placed contour's normals.
 
         Returns
         -------
@@ -897,11 +902,11 @@ class ShapeSpace:
         Raises
         ------
         InvalidInputError
-            As `place`; or normals that are not N unit vectors.
+            As for `place`; normals that are not N unit vectors.
         """
 
     def axis(self, shape_vector: ArrayLike) -> Axis:
-        """Give the finger's axis in the image.
+        """Return the finger's axis in the image.
 
         Parameters
         ----------
@@ -911,11 +916,11 @@ class ShapeSpace:
         Raises
         ------
         InvalidInputError
-            Another shape vector.
+            A shape vector that `place` refuses.
         """
 
     def axis_jacobian(self, shape_vector: ArrayLike) -> NDArray[np.float64]:
-        """Differentiate the axis by the shape vector.
+        """Return the derivatives of the axis by the shape vector.
 
         Parameters
         ----------
@@ -931,7 +936,7 @@ class ShapeSpace:
         Raises
         ------
         InvalidInputError
-            Another shape vector.
+            A shape vector that `place` refuses.
         """
 
 @final
@@ -940,7 +945,7 @@ class PlacedContour:
 
     @property
     def position_px(self) -> NDArray[np.float64]:
-        """Where the samples stand [px], (N, 2)."""
+        """Positions of the samples [px], (N, 2)."""
 
     @property
     def normal(self) -> NDArray[np.float64]:
@@ -970,15 +975,15 @@ class Axis:
 
 @final
 class EdgeSearch:
-    """Looks for edges along the normals of a contour.
+    """Searches for edges along the normals of a contour.
 
-    Every line samples the image at whole pixels along its normal, correlates the profile with the
-    derivative of a Gaussian of scale s and reports where the response peaks, to a fraction of a
+    The image is sampled at whole pixels along each normal, and the profile is correlated with the
+    derivative of a Gaussian of scale s. The offset is the peak of the response, to a fraction of a
     pixel. With edge blur σ_b, S² = s² + σ_b², contrast A and white noise σ_n the offset has the
     variance (3√π / 4) σ_n² S⁶ / (A² s⁵) per independent pixel of contour: the noise of the
     response's slope over the squared curvature of a blurred step's response at its peak.
 
-    Immutable: one may search in several threads at once.
+    Immutable; several threads may use one object at once.
 
     References
     ----------
@@ -991,7 +996,7 @@ class EdgeSearch:
         Parameters
         ----------
         options
-            What differs from the defaults: ``scale_px``, ``blur_px``, ``noise_grey``,
+            Values that differ from the defaults: ``scale_px``, ``blur_px``, ``noise_grey``,
             ``min_contrast_grey``.
 
         Raises
@@ -1021,16 +1026,16 @@ class EdgeSearch:
         image : (height, width)
             Grey levels; not copied.
         position_px : (N, 2)
-            Where the lines cross the contour [px]; outside the image they are misses.
+            Intersections of the lines with the contour [px]; outside the image they are misses.
         normal : (N, 2)
             Unit vectors along the lines, out of the hand.
         half_length_px : (N,) or scalar
-            How far to look to either side [px], above 0 and up to 128; rounded up to whole pixels.
+            Search range to either side [px], above 0 and up to 128; rounded up to whole pixels.
         polarity
-            Whether the hand is brighter or darker than what is behind it.
+            Whether the hand is brighter or darker than its background.
         scale
-            A kernel of the option ``scale_px``; or a larger one, which sees an edge that motion
-            has smeared.
+            "fine": a kernel of the option ``scale_px``. "coarse": one 2.5 times as large, which
+            responds to edges under motion blur.
 
         Returns
         -------
@@ -1040,20 +1045,20 @@ class EdgeSearch:
         Raises
         ------
         InvalidInputError
-            An image that is not as described above, positions that are not finite, normals that
-            are no unit vectors, lengths out of range, arrays that do not match.
+            An image in another form than described above, positions that are not finite, normals
+            that are not unit vectors, lengths out of range, arrays of different lengths.
         """
 
 @final
 class SearchLines:
-    """N lines that were searched, and what was found; see `EdgeSearch.search`.
+    """N search lines with their edge measurements; see `EdgeSearch.search`.
 
-    A line without an edge is a *miss*: its numbers are NaN, never 0.
+    A line without an edge is a *miss*: its measurements are NaN, never 0.
     """
 
     @property
     def position_px(self) -> NDArray[np.float64]:
-        """Where the lines cross the contour [px], (N, 2)."""
+        """Intersections of the lines with the contour [px], (N, 2)."""
 
     @property
     def normal(self) -> NDArray[np.float64]:
@@ -1061,7 +1066,7 @@ class SearchLines:
 
     @property
     def half_length_px(self) -> NDArray[np.float64]:
-        """How far each line goes to either side [px], (N,)."""
+        """Search range of each line to either side [px], (N,)."""
 
     @property
     def offset_px(self) -> NDArray[np.float64]:
@@ -1077,7 +1082,10 @@ class SearchLines:
 
     @property
     def separation(self) -> NDArray[np.float64]:
-        """Mean log-likelihood ratio inside minus outside, (N,); NaN without an appearance."""
+        """Mean log-likelihood ratio of the pixels inside minus that outside, (N,).
+
+        NaN without an appearance model.
+        """
 
     @property
     def agrees(self) -> NDArray[np.bool_] | None:
@@ -1088,23 +1096,23 @@ class SearchLines:
 
     @property
     def miss(self) -> NDArray[np.str_]:
-        """Why there is no edge, (N,); empty where there is one.
+        """Reason for the absence of an edge, (N,); empty where there is one.
 
         "out-of-image": too little of the line lies inside the image. "no-contrast": no response of
-        the right polarity reaches the least contrast. "beyond-end": the response still rises
-        where the line ends.
+        the right polarity reaches the minimum contrast. "beyond-end": the response still rises at
+        the end of the line.
         """
 
     def __len__(self) -> int: ...
 
 @final
 class Background:
-    """What a camera that keeps still sees when no hand is there.
+    """Background model of a static camera.
 
-    Every pixel keeps the level that it shows most of the time. The light of a frame is fitted as
-    gain · background + offset; what is left is the foreground, unless a shadow explains it. When
-    most of the image changes for some frames, the camera has moved and the background is learned
-    anew.
+    The model holds the grey level that each pixel shows most of the time. The light of a frame is
+    fitted as gain · background + offset. The remaining differences are foreground, except where a
+    shadow explains them. If most of the image changes for several frames, the camera has moved:
+    the background is discarded and learned anew.
 
     References
     ----------
@@ -1112,12 +1120,12 @@ class Background:
     """
 
     def __new__(cls, options: Mapping[str, object] | None = None) -> Background:
-        """Make a background that has seen nothing.
+        """Make a background without observations.
 
         Parameters
         ----------
         options
-            What differs from the defaults; see the property ``options``.
+            Values that differ from the defaults; see the property ``options``.
 
         Raises
         ------
@@ -1132,7 +1140,7 @@ class Background:
         *,
         keep_out: tuple[ArrayLike, ArrayLike, float] | None = None,
     ) -> None:
-        """Take one frame: estimate its light, and learn from what agrees.
+        """Process one frame: `look`, then `learn`.
 
         Parameters
         ----------
@@ -1141,23 +1149,21 @@ class Background:
         colour : (height, width, 3), optional
             Colours of the same frame.
         keep_out
-            A part of the image that is not learned: two ends (u, v) of a segment [px], and the
-            radius around it [px].
+            A region that is not learned, such as a hand: two ends (u, v) of a segment [px], and
+            the radius about it [px].
 
         Raises
         ------
         InvalidInputError
-            An image that cannot be used, or a part to keep out that is not finite or has no
-            radius.
+            An unsuitable image; a region that is not finite or whose radius is not positive.
         FingerpostError
             The background is in use in another thread.
         """
 
     def look(self, image: NDArray[np.uint8], colour: NDArray[np.uint8] | None = None) -> None:
-        """Look at a frame without learning from it.
+        """Process a frame without learning from it: estimate its light, and detect camera motion.
 
-        Its light is estimated and a camera that has moved is noticed; from then on all that is told
-        of the background holds for this frame. `observe` is this and then `learn`.
+        From then on, all queries refer to this frame.
 
         Parameters
         ----------
@@ -1169,7 +1175,7 @@ class Background:
         Raises
         ------
         InvalidInputError
-            An image that cannot be used.
+            An unsuitable image.
         FingerpostError
             The background is in use in another thread.
         """
@@ -1181,7 +1187,7 @@ class Background:
         *,
         keep_out: tuple[ArrayLike, ArrayLike, float] | None = None,
     ) -> None:
-        """Learn from the frame that was looked at last.
+        """Learn from the frame that `look` processed last, except within ``keep_out``.
 
         Parameters
         ----------
@@ -1195,66 +1201,67 @@ class Background:
         """
 
     def forget(self, part: tuple[ArrayLike, ArrayLike, float]) -> None:
-        """Forget a part of the image, such as a hand that has stood there from the start.
+        """Discard the observations of a region, such as a hand that was there from the start.
 
         Parameters
         ----------
         part
-            Two ends (u, v) of a segment [px], and the radius around it [px].
+            Two ends (u, v) of a segment [px], and the radius about it [px].
 
         Raises
         ------
         InvalidInputError
-            A part that is not finite or has no radius.
+            A region that is not finite or whose radius is not positive.
         """
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Discard all observations."""
 
     @property
     def is_known(self) -> bool:
-        """Whether it has lasted long enough to tell the foreground from it."""
+        """Whether it was observed long enough to separate the foreground."""
 
     @property
     def is_exact(self) -> bool:
-        """Whether it is known and its edges are where the last frame shows them.
+        """Whether it is known and displaced by at most 0.15 px in the last frame.
 
-        A camera that is bumped by a part of a pixel changes few pixels by much, but no edge is
-        where it was.
+        A displacement of the camera by a fraction of a pixel changes few pixels by much, but moves
+        every edge.
         """
 
     @property
     def shift_px(self) -> tuple[float, float] | None:
-        """How far the last frame shows it from where it was learned [px], (u, v).
+        """Displacement of the last frame from the background [px], (u, v).
 
-        None where too few edges tell. Beyond a pixel it is no more than a sign that it has moved.
+        None if too few edges determine it. Beyond a pixel it only indicates that the camera has
+        moved.
         """
 
     @property
     def light(self) -> tuple[float, float]:
-        """Gain and offset [grey levels] of the last frame's light over the background's."""
+        """Gain and offset [grey levels] of the last frame's light relative to the background's."""
 
     @property
     def changed_share(self) -> float:
-        """Part of the pixels that would show a motion of the camera and have changed, 0 to 1."""
+        """Changed fraction of the pixels that would show a motion of the camera, 0 to 1."""
 
     @property
     def options(self) -> _BackgroundOptions:
         """Every option in force."""
 
     def expected(self, position_px: ArrayLike) -> NDArray[np.float64]:
-        """Tell the grey levels to expect where nothing stands before the background.
+        """Return the expected grey levels where no object is before the background.
 
         Parameters
         ----------
         position_px : (N, 2)
-            Places [px].
+            Positions [px].
 
         Returns
         -------
         (N, 2)
-            Grey level in the light of the last frame, and its standard deviation, without the
-            noise of a frame that it is compared with; NaN where it is unknown.
+            Expected grey level in the light of the last frame, and its standard deviation, which
+            excludes the image noise of that frame; NaN where the background is unknown.
         """
 
     def foreground(
@@ -1263,39 +1270,44 @@ class Background:
         position_px: ArrayLike,
         colour: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.float64]:
-        """Tell how likely some places of a frame show something before the background.
+        """Return the foreground probability at some positions of a frame.
 
         Parameters
         ----------
         image, colour
             As for `observe`.
         position_px : (N, 2)
-            Places [px]; the nearest pixels count.
+            Positions [px]; the nearest pixels are used.
 
         Returns
         -------
         (N,)
-            0 to 1; NaN where the background is unknown.
+            0 to 1; NaN outside the image and where the background is unknown.
         """
 
     def foreground_map(
         self, image: NDArray[np.uint8], colour: NDArray[np.uint8] | None = None
     ) -> NDArray[np.uint8]:
-        """Tell the same for every second pixel of every second row.
+        """Return the foreground probability of every second pixel of every second row.
+
+        Parameters
+        ----------
+        image, colour
+            As for `observe`.
 
         Returns
         -------
         (⌈height / 2⌉, ⌈width / 2⌉)
-            0 for background, 255 for foreground; all 0 while the background is unknown.
+            0 for background to 255 for foreground; all 0 while the background is unknown.
         """
 
 @final
 class HandFinder:
-    """Finds where in an image a pointing hand may be.
+    """Detects candidates for pointing hands in an image.
 
-    A template of a finger's round end and flanks is scored at every place, angle and size,
-    coarsely; the best places are looked at closely. What comes out are candidates: only a fit, and
-    the other views, can tell.
+    A template of a finger's round end and flanks is scored coarsely at every position, angle and
+    size; the best of these are refined. The results are candidates: only a fit, and the other
+    views, distinguish hands from pens, cables and other fingers.
 
     References
     ----------
@@ -1303,12 +1315,12 @@ class HandFinder:
     """
 
     def __new__(cls, options: Mapping[str, object] | None = None) -> HandFinder:
-        """Make a finder.
+        """Make a finder with the given options.
 
         Parameters
         ----------
         options
-            What differs from the defaults; see the property ``options``.
+            Values that differ from the defaults; see the property ``options``.
 
         Raises
         ------
@@ -1323,21 +1335,21 @@ class HandFinder:
         *,
         background: Background | None = None,
     ) -> list[Candidate]:
-        """Find the candidates in a frame, the likeliest first.
+        """Find the candidates in a frame, the most likely first.
 
         Parameters
         ----------
         image : (height, width)
             Grey levels; not copied.
         colour : (height, width, 3), optional
-            Colours of the same frame; with them fingers are told better from what is around.
+            Colours of the same frame; they distinguish fingers better from their surroundings.
         background
-            What is known of the background; where it is, what has come into view goes first.
+            Background model of the view. Once it is known, foreground candidates rank higher.
 
         Raises
         ------
         InvalidInputError
-            An image that cannot be used.
+            An unsuitable image.
         FingerpostError
             The finder or the background is in use in another thread.
         """
@@ -1350,29 +1362,30 @@ class HandFinder:
         half_width_px: float,
         colour: NDArray[np.uint8] | None = None,
     ) -> float | None:
-        """Tell how like a finger a band is, by how its inside differs from what is about it.
+        """Return the likeness of a band to a finger by the contrast with its surroundings.
 
-        Each half of a band that is lit from one side may differ by its colours, or by their
-        chromaticity alone.
+        If the band is lit from one side, each half may have contrast in colour, or in chromaticity
+        alone.
 
         Parameters
         ----------
         image, colour
             As for `find`.
         tip_px, angle_rad
-            Where the band ends, and in which direction it leads there.
+            End of the band [px], and its direction there [rad].
         half_width_px
-            Half its width [px], > 0.
+            Half-width of the band [px], > 0.
 
         Returns
         -------
         float or None
-            0 to 1; None if too little of it and of what is about it lies in the image.
+            0 to 1; None if too little of the band and its surroundings lies in the image.
 
         Raises
         ------
         InvalidInputError
-            Arrays of another type or shape, a place that is none or not finite, no width.
+            Arrays of the wrong type or shape; a position or direction that is not finite; a
+            half-width that is not positive.
         """
 
     @property
@@ -1381,11 +1394,11 @@ class HandFinder:
 
 @final
 class Candidate:
-    """A place where a pointing hand may be."""
+    """A possible pointing hand."""
 
     @property
     def start(self) -> StartPose:
-        """Where a template would wait for it."""
+        """The start pose of a template for it."""
 
     @property
     def half_width_px(self) -> float:
@@ -1397,15 +1410,15 @@ class Candidate:
 
     @property
     def colour(self) -> tuple[float, float, float]:
-        """Mean colour of its inside; a grey level three times."""
+        """Mean colour of its inside, channels as in the frame; without colours, the grey level."""
 
     @property
     def foreground(self) -> float:
-        """How like foreground its inside is, 0 to 1; 0 while no background is known."""
+        """Mean foreground probability of its inside, 0 to 1; 0 while no background is known."""
 
     @property
     def score(self) -> float:
-        """How like a finger it is by its shape and colours alone, 0 to 1."""
+        """Likeness to a finger by shape and colours alone, 0 to 1."""
 
 @final
 class PlaneLevel:
@@ -1414,26 +1427,26 @@ class PlaneLevel:
     Parameters
     ----------
     positions_px : (N, 2)
-        Where a pinhole shows them at full resolution [px].
+        Undistorted positions of the pixels at full resolution [px].
     levels : (N,)
-        Grey levels of the smoothed level.
+        Grey levels of the pixels in the smoothed pyramid level.
     gradients : (N, 2)
-        By a position at full resolution [levels/px].
+        Gradients by the position at full resolution [levels/px].
     variances : (N,)
-        Of an inlier's residual [levels²], positive.
+        Variance of an inlier's residual [levels²], positive.
     squares : sequence of int
-        The square of pixels that each belongs to, in ascending order: each has a gain and an
-        offset of its own.
+        Index of the square that each pixel belongs to, in ascending order. Every square has its
+        own gain and offset.
     scale
-        Size of the level over that of the image, at most 1.
+        Size of the level relative to the image, at most 1.
     non_similarity_sigma
-        Standard deviation of the change between two images of what a homography has beside a
-        similarity, in unit coordinates.
+        Standard deviation of the change, from image to image, of the components of a homography
+        that a similarity lacks, in unit coordinates.
     unit_from_px : (3, 3)
-        From pixels at full resolution to coordinates of order 1, in which steps are computed: a
-        scale and a shift.
+        Scale and shift from pixels at full resolution to unit coordinates: coordinates of order 1,
+        in which steps are computed.
     lens : seven floats, optional
-        fx, fy, cx, cy, k1, k2 and the greatest radius, as `Lens.radial` gives them.
+        fx, fy, cx, cy, k1, k2 and the maximum radius, as `Lens.radial` returns them.
 
     Raises
     ------
@@ -1460,20 +1473,20 @@ class PlaneRegistration:
     """Registers the working plane of a first image with later ones.
 
     Iterated least squares on grey levels over the eight entries of a homography (inverse
-    compositional: Baker & Matthews 2004), from the coarsest level to the full resolution; Tukey's
-    biweight rejects what covers the plane, and pixels that are often outliers lose weight.
+    compositional: Baker & Matthews 2004), from the coarsest level to the full resolution. Tukey's
+    biweight rejects objects that cover the plane, and frequent outliers lose weight.
 
     Parameters
     ----------
     levels
-        Of one view, from full resolution down; copied.
+        The levels of one view, from full resolution down; copied.
     points_px : (M, 2)
-        Where accuracy is required, as a pinhole shows it in the first image [px].
+        Undistorted positions in the first image at which accuracy is required [px].
 
     Raises
     ------
     InvalidInputError
-        No level, or unit coordinates that are none.
+        No levels, or a singular ``unit_from_px``.
     """
 
     def __new__(cls, levels: Sequence[PlaneLevel], points_px: ArrayLike) -> PlaneRegistration: ...
@@ -1488,7 +1501,8 @@ class PlaneRegistration:
         Parameters
         ----------
         smooth
-            Its smoothed pyramid, a level for each of the first image's, from full resolution down.
+            Smoothed pyramid of the image, from full resolution down, with as many levels as that
+            of the first image.
         guess : (3, 3)
             Homography from the first image to this one, accurate to a few pixels.
         hand
@@ -1497,38 +1511,45 @@ class PlaneRegistration:
         Returns
         -------
         RegisteredPlane or None
-            None where too little of the plane is visible.
+            None if too little of the plane is visible.
 
         Raises
         ------
         InvalidInputError
-            Another number of levels, or numbers that are not finite.
+            A wrong number of levels, or numbers that are not finite.
         """
 
 @final
 class RegisteredPlane:
-    """The working plane as it lies in an image."""
+    """The pose of the working plane in an image."""
 
     @property
     def now_from_first(self) -> NDArray[np.float64]:
-        """(3, 3) Homography from the pinhole's pixels of the first image to those of this one."""
+        """Homography from undistorted pixels of the first image to those of this one, (3, 3)."""
+
     @property
     def step_covariance(self) -> NDArray[np.float64]:
-        """(8, 8) Covariance of a step before it, its entries but the last, in unit coordinates."""
+        """Covariance of the homography's error in unit coordinates, (8, 8).
+
+        The error is a homography that is applied before `now_from_first`; its entries, row by row
+        without the last, are the components.
+        """
+
     @property
     def inlier_share(self) -> float:
-        """Part of the expected pixels' information that inliers have, 0 to 1."""
+        """Inliers' fraction of the information of the pixels expected to be inliers, 0 to 1."""
+
     @property
     def inliers(self) -> int:
-        """Number of inliers among the expected pixels."""
+        """Number of inliers among these pixels."""
 
 @final
 class RoundFinger:
-    """The finger whose shading, as a round body's, explains best what is seen about an axis.
+    """The round body whose shading fits the image about an axis best.
 
-    Before a table as bright as one side of it, a finger lit from the other shows where it turns
-    from the light, and not where it ends. But a round body is shaded as one, and that tells how
-    wide it is and where its middle lies.
+    Before a table as bright as one side of the finger, a finger lit from the other side has an
+    edge at the terminator instead of the occluding contour. The shading across a round body
+    determines its width and its middle nevertheless.
     """
 
     @staticmethod
@@ -1539,62 +1560,65 @@ class RoundFinger:
         half_width_px: float,
         colour: NDArray[np.uint8] | None = None,
     ) -> RoundFinger | None:
-        """Fit it to what is seen about an axis.
+        """Fit a body to the image about an axis.
 
         Parameters
         ----------
         image : (height, width)
             Grey levels.
         anchor_px, tip_px : (2,)
-            The middle and the tip of a finger, on the line between the edges that show [px].
+            Middle and tip of the finger, on the bisector of the visible edges [px].
         half_width_px
-            Half the way from one of them to the other [px], positive.
+            Distance from the axis to the visible edges [px], positive.
         colour : (height, width, 3), optional
-            Colours, which are looked at instead of the grey levels.
+            Colours, used instead of the grey levels.
 
         Returns
         -------
         RoundFinger or None
-            None where what is looked at is not all in the picture: 1 to 6 half-widths behind the
-            tip, and 2 to either side.
+            None if the region used, 1 to 6 half-widths behind the tip and 2 to either side of the
+            axis, is not entirely inside the image.
 
         Raises
         ------
         InvalidInputError
             A number that is not finite, a tip at the anchor, a half-width that is not positive, or
-            pictures that are none.
+            an unsuitable image.
         """
 
     @property
     def offset_px(self) -> float:
-        """How far beside the anchor its axis runs, to the side of the normal (−sin, cos) [px]."""
+        """Offset of the fitted axis from the anchor, along the given axis's normal [px].
+
+        The normal is (−sin, cos).
+        """
 
     @property
     def turn_rad(self) -> float:
-        """By how much its axis is turned against the given one [rad]."""
+        """Angle of the fitted axis minus that of the given one [rad]."""
 
     @property
     def half_width_px(self) -> float:
-        """Half its width at the anchor [px]."""
+        """Half-width at the anchor [px]."""
 
     @property
     def misfit(self) -> float:
-        """How much what is seen differs from it: a robust sum over all pixels, in no unit."""
+        """Robust cost of the fit, summed over the pixels used; dimensionless."""
 
     @property
     def misfit_about_given(self) -> float:
-        """The same of the body about the given axis that explains most."""
+        """The least such cost of a body about the given axis."""
 
 @final
 class Fitter:
     """Weighted least squares for the step of a shape vector.
 
-    Every equation says that a step δ should move the contour by the measured offset along one
-    normal. Gross errors lose their weight (Tukey's biweight, iterated); what the residual offsets
-    scatter beyond their variances is misfit of the model and is added to all alike. A direction
-    that the equations leave open is reported, not chosen.
+    An equation row · δ = offset states that the step δ moves the contour by the measured offset
+    along one normal. Tukey's biweight, iterated, rejects gross errors. Scatter of the residual
+    offsets in excess of their variances is model misfit and is added to every variance. If the
+    equations leave a direction of the shape space undetermined, there is no step.
 
-    Immutable: one may solve in several threads at once.
+    Immutable; several threads may use one object at once.
     """
 
     def __new__(cls, options: Mapping[str, object] | None = None) -> Fitter:
@@ -1603,7 +1627,7 @@ class Fitter:
         Parameters
         ----------
         options
-            What differs from the defaults: ``loss``, ``solve``, ``max_iterations``,
+            Values that differ from the defaults: ``loss``, ``solve``, ``max_iterations``,
             ``min_scale_px``.
 
         Raises
@@ -1624,36 +1648,37 @@ class Fitter:
         *,
         prior: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> FitReport:
-        """Find the step that the equations, and the prior if there is one, agree on.
+        """Find the step that minimises the robust loss of the equations and the prior.
 
         Parameters
         ----------
         rows : (N, D)
-            ∂(n·X)/∂x of every measurement, as from `ShapeSpace.normal_rows`; D from 1 to 9.
+            ∂(n·X)/∂x of every measurement, as returned by `ShapeSpace.normal_rows`; D from 1 to 9.
         offset_px : (N,)
-            Measured offsets [px]. Leave misses out.
+            Measured offsets [px], without misses.
         variance_px2 : (N,)
             Their variances [px²], positive.
         prior : ((D,), (D, D)), optional
-            Mean and information (inverse covariance) of a belief about the step; the information
-            is symmetric without negative eigenvalues, and zero where nothing is believed.
+            Mean and information (inverse covariance) of a Gaussian prior on the step. The
+            information is positive semidefinite, and zero in directions without prior knowledge.
 
         Raises
         ------
         InvalidInputError
-            Arrays of other shapes or not finite; variances that are not positive; a prior that is
-            no information matrix.
+            Arrays of other shapes or not finite; variances that are not positive; a prior
+            information that is not symmetric or has a negative eigenvalue.
         """
 
 @final
 class FitReport:
-    """What a fit found, and how well; see `Fitter.solve`."""
+    """The result of a fit and its quality; see `Fitter.solve`."""
 
     @property
     def outcome(self) -> Literal["determined", "too-few-equations", "undetermined"]:
-        """Whether there is a step; with fewer equations than unknowns and no prior, there is none.
+        """Whether there is a step.
 
-        "undetermined": equations and prior leave D − `rank` directions of the shape space open.
+        "too-few-equations": fewer equations than unknowns, and no prior. "undetermined": equations
+        and prior leave D − `rank` directions of the shape space undetermined.
         """
 
     @property
@@ -1670,19 +1695,19 @@ class FitReport:
 
     @property
     def rank(self) -> int:
-        """How many directions of the shape space the information determines."""
+        """Number of directions of the shape space that the information determines."""
 
     @property
     def iterations(self) -> int:
-        """Solutions computed until the weights settled."""
+        """Number of solutions until the weights converged."""
 
     @property
     def equations(self) -> int:
-        """Equations given."""
+        """Number of equations."""
 
     @property
     def inliers(self) -> int:
-        """Equations with more than a tenth of their full weight."""
+        """Number of equations with more than a tenth of their full weight."""
 
     @property
     def residual_rms_px(self) -> float:
@@ -1704,9 +1729,9 @@ class FitReport:
 
 @final
 class StartPose:
-    """Where the template waits for the hand.
+    """The start pose of the initial template.
 
-    Immutable; two are equal if their numbers are.
+    Immutable; two are equal if their values are.
     """
 
     def __new__(cls, tip_px: ArrayLike, angle_rad: float, length_px: float) -> StartPose:
@@ -1724,7 +1749,7 @@ class StartPose:
         Raises
         ------
         InvalidInputError
-            A value that is no number, not finite or, of the length, not positive.
+            A value that is not a finite number; a length that is not positive.
         """
 
     @property
@@ -1741,11 +1766,11 @@ class StartPose:
 
     @property
     def centre_px(self) -> NDArray[np.float64]:
-        """Where the undeformed template's origin stands in this pose [px], (2,)."""
+        """Image of the undeformed template's origin, the middle of the finger [px], (2,)."""
 
     @property
     def linear_px(self) -> NDArray[np.float64]:
-        """Its basis vectors along and across the finger, as columns [px], (2, 2)."""
+        """Images of its basis vectors along and across the finger, as columns [px], (2, 2)."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
@@ -1753,14 +1778,15 @@ class StartPose:
 
 @final
 class ContourTracker:
-    """Follows one hand in one view: *acquiring*, *tracking*, *lost*.
+    """Tracks one hand in one view: *acquiring*, *tracking*, *lost*.
 
-    The template waits at its start pose until a hand is held up to it, takes on the hand's
-    dimensions, and follows it from then on. After some frames without an accepted fit the hand is
-    lost, and looked for where it last was and where the template first waited.
+    *Acquiring*: the initial template waits at its start pose and is fitted to a hand that is held
+    up to it, until its size has settled. *Tracking*: every frame is searched where a Kalman filter
+    predicts the hand. *Lost*: after some frames without an accepted fit, the hand is searched for
+    at its last pose and at the start pose.
 
-    The same frames and times give the same bits again. Trackers of their own run in parallel
-    threads; one tracker works in one thread at a time.
+    The same frames and times give bit-identical results. Several trackers may run in parallel
+    threads, each in one thread at a time.
 
     References
     ----------
@@ -1770,17 +1796,17 @@ class ContourTracker:
     def __new__(
         cls, template: Template, start: StartPose, options: Mapping[str, object] | None = None
     ) -> ContourTracker:
-        """Make a tracker whose template waits at ``start``.
+        """Make a tracker whose initial template is at ``start``.
 
         Parameters
         ----------
         template
             A pistol; for the model "paper" also a traced outline.
         start
-            Where it waits.
+            The start pose.
         options
-            What differs from the defaults, in nested dictionaries; see the property ``options``
-            for all there are.
+            Values that differ from the defaults, in nested dictionaries; the property ``options``
+            returns all of them.
 
         Raises
         ------
@@ -1793,11 +1819,11 @@ class ContourTracker:
     def at_hand(
         template: Template, start: StartPose, options: Mapping[str, object] | None = None
     ) -> ContourTracker:
-        """Make a tracker whose hand is believed to be at ``start`` already.
+        """Make a tracker of a hand that is already at ``start``, such as a `Candidate`.
 
-        The first frame is fitted there at once, from the template's own width, where a template
-        that waits tries several places, angles and widths. When that frame shows no hand there,
-        the template waits.
+        The first frame is fitted there directly, from the template's own width; a tracker made by
+        the class itself would try several positions, angles and widths. If the first frame shows
+        no hand there, acquisition starts as usual.
 
         Parameters
         ----------
@@ -1820,11 +1846,11 @@ class ContourTracker:
 
     @property
     def foreshortening(self) -> float:
-        """By how much the view shows the finger shorter than it is, above 0 and at most 1.
+        """Foreshortening of the finger in this view, above 0 and at most 1.
 
-        The sine of the angle between the finger and the ray to its tip; 1 until it is set by
-        whoever knows it from other views. The line of a finger is told for its front, which is
-        known by its width, and that is not foreshortened.
+        The sine of the angle between the finger and the ray to its tip. Other views determine it;
+        1 until it is set. The line is reported for the distal segment, whose length is derived
+        from the finger's width; unlike length, width is not foreshortened.
 
         Raises
         ------
@@ -1844,46 +1870,47 @@ class ContourTracker:
         *,
         background: Background | None = None,
     ) -> Track:
-        """Take one frame and tell where the hand is.
+        """Update the tracker by one frame, and return the estimate for it.
 
         Parameters
         ----------
         image : (height, width) or (height, width, 3)
-            Grey levels, or blue, green and red as OpenCV has them; not copied, and not to be
-            written to meanwhile. Edges are measured in grey (ITU-R BT.601 luma); by its colours
-            the hand is told from what is behind it. Three channels that do not differ are grey.
+            Grey levels, or blue, green and red in OpenCV's order; not copied. Edges are measured
+            in grey levels (ITU-R BT.601 luma); colours distinguish the hand from its background.
+            Three channels that do not differ count as grey.
         time_s
-            When it was captured [s], not before the last frame.
+            Time of capture [s], not before the last frame's.
         colour : (height, width, 3), optional
-            Colours of the same frame beside grey levels of their own, in any order of channels
-            that stays the same; not copied.
+            Colours of the same frame, if ``image`` has its grey levels. The channels may have any
+            order, the same in all frames; not copied.
         background
-            What is behind the hand, after `Background.look` at this frame. Its edges are not taken
-            for the hand's, and the finger line is measured before what it shows; what the frame
-            contradicts does not count. A hand that has stood there while it was learned is part
+            Background model that has processed this frame by `Background.look`. Its edges are not
+            taken for the hand's, and the finger line is fitted against it; background pixels that
+            the frame contradicts are ignored. A hand that was present while it was learned is part
             of it.
 
         Raises
         ------
         InvalidInputError
-            An image that is empty, more than 32767 px wide or high, of rows of more than 131071
-            bytes or not as described above, colours of another size, a background of another size,
-            a time that is not finite or runs backwards. The tracker is as it was before.
+            An image that is empty, larger than 32767 px in width or height, with rows of more than
+            131071 bytes, or in another form than described above; colours or a background of
+            another size; a time that is not finite or before the last frame's. The tracker is
+            unchanged.
         FingerpostError
             The tracker or the background is in use in another thread.
         """
 
     def contour(self) -> NDArray[np.float64]:
-        """Give the contour as it stands after the last frame, or where it waits.
+        """Return the contour after the last frame, or at the start pose.
 
         Returns
         -------
         (N, 2)
-            Points [px]; those that another limb hides are left out.
+            Points [px], without those that another limb hides.
         """
 
     def search_lines(self) -> SearchLines:
-        """Give the last search along the normals, without lines before the first frame."""
+        """Return the last search along the normals; no lines before the first frame."""
 
 def update_views(
     views: Sequence[
@@ -1892,41 +1919,42 @@ def update_views(
     *,
     schedule: Literal["by-need", "in-turn", "side-by-side"] | None = None,
 ) -> list[Track | FingerpostError]:
-    """Take one frame of every view and tell where the hand is in each, in one call.
+    """Update the trackers of all views by one frame each, in one call.
 
     Parameters
     ----------
     views
-        For each view its tracker, grey levels, capture time [s], colours or None and background or
-        None, as `ContourTracker.update` takes them: images are not copied. No tracker comes twice.
+        For each view its tracker, grey levels, time of capture [s], colours or None and background
+        or None, as for `ContourTracker.update`. Every tracker may occur once.
     schedule
-        Who does the work: one thread "in-turn"; a thread for each view, "side-by-side"; or, by
-        default, threads of their own for views that look for their hand, which takes milliseconds,
-        and this thread for those that follow it, "by-need". The tracks are the same to the bit.
+        Distribution over threads. "in-turn": all views in the calling thread. "side-by-side": a
+        thread for each view. "by-need", the default: views that track a hand in the calling
+        thread; each of the others, whose search takes milliseconds, in a thread of its own. The
+        tracks are bit-identical for all schedules.
 
     Returns
     -------
     list
-        In the order of the views: what each tracker made of its frame, or the error that
-        `ContourTracker.update` raises for it. The error of one view costs no other its track.
+        For each view, in order, the track or the error that `ContourTracker.update` would raise.
+        An error of one view does not affect the others.
 
     Raises
     ------
     InvalidInputError
-        A schedule that is none of these, or a view of other than five entries.
+        An unknown schedule, or a view that does not have five entries.
     """
 
 @final
 class Track:
-    """What one frame told; see `ContourTracker.update`."""
+    """The estimate of one frame; see `ContourTracker.update`."""
 
     @property
     def time_s(self) -> float:
-        """When the frame was captured [s]."""
+        """Time of capture of the frame [s]."""
 
     @property
     def status(self) -> Literal["acquiring", "tracking", "lost"]:
-        """Where the tracker is after the frame."""
+        """State of the tracker after the frame."""
 
     @property
     def finger_line(self) -> FingerLine | None:
@@ -1934,7 +1962,7 @@ class Track:
 
     @property
     def shape_names(self) -> list[str]:
-        """What each component of the shape vector is, with its unit."""
+        """Name and unit of each component of the shape vector."""
 
     @property
     def shape_vector(self) -> NDArray[np.float64] | None:
@@ -1946,7 +1974,7 @@ class Track:
 
     @property
     def diagnostics(self) -> Diagnostics:
-        """Why the frame went the way it did."""
+        """Diagnostics of the frame's fit."""
 
 @final
 class FingerLine:
@@ -1954,9 +1982,9 @@ class FingerLine:
 
     @property
     def anchor_px(self) -> tuple[float, float]:
-        """The point of the line at which `covariance` holds [px].
+        """The point of the line to which `covariance` refers [px].
 
-        The middle of what the line was measured on.
+        It is the midpoint of the segment that the line was measured on.
         """
 
     @property
@@ -1969,15 +1997,16 @@ class FingerLine:
 
     @property
     def half_length_px(self) -> float:
-        """Half the length of what the line was measured on [px], positive."""
+        """Half the length of the segment that the line was measured on [px], positive."""
 
     @property
     def stretch_px(self) -> tuple[float, float]:
-        """Where the stretch that the line is told for begins and ends [px].
+        """Start and end of the segment that the line is reported for [px].
 
-        Along it from the anchor, the end nearer to the tip last. The line cuts a slightly bent
-        finger where the line of least squares over that stretch does: in front of its middle and
-        behind it, by 1 / √3 of half its length. A finger that a lens bends is straight again there.
+        Both are positions along the line relative to the anchor; the end nearer to the tip comes
+        last. The axis of a slightly bent finger is approximated by a parabola. The line intersects
+        it where the least-squares line over the segment does: at the segment's middle ± 1 / √3 of
+        half its length. The correction of a lens straightens the line over this segment.
         """
 
     @property
@@ -1989,55 +2018,55 @@ class FingerLine:
 
     @property
     def source(self) -> Literal["contour", "pixels", "both"]:
-        """What it was measured on.
+        """The measurements that the line was estimated from.
 
-        The contour is the axis of the fitted template, pixels the line of maximum likelihood given
-        what the camera recorded near the flanks, where that can be believed. Where it is to be
-        believed only in part, the two are weighed.
+        "contour": the axis of the fitted template. "pixels": the maximum-likelihood line given the
+        pixels about the flanks, if these agree with the model of a finger. "both": the weighted
+        mean of the two, if the pixels agree only in part.
         """
 
 @final
 class Diagnostics:
-    """Why a frame went the way it did."""
+    """Diagnostics of one frame."""
 
     @property
     def visible(self) -> int:
-        """Samples of the contour that no other limb hides."""
+        """Number of contour samples that no other limb hides."""
 
     @property
     def hits(self) -> int:
-        """Lines of the frame's last search that found an edge."""
+        """Number of visible samples on whose search line an edge was found."""
 
     @property
     def inliers(self) -> int:
-        """Edges that agree with the fit."""
+        """Number of edges that agree with the fit."""
 
     @property
     def agreement(self) -> float:
-        """Part of the finger's visible samples whose edges agree with the fit, 0-1.
+        """Fraction of the finger's visible samples whose edges agree with the fit, 0 to 1.
 
-        Of the contour's for the paper's model. A thumb, which bends, does not count.
+        For the paper's model, of the contour's. The thumb does not count, because it bends.
         """
 
     @property
     def min_agreement(self) -> float:
-        """The least agreement with which the frame's fit counted; above 1 if none would do."""
+        """The least agreement at which the fit would be accepted; above 1 if there is none."""
 
     @property
     def residual_rms_px(self) -> float:
-        """Root mean square of the residual offsets of those [px]."""
+        """Root mean square of the residual offsets of the inliers [px]."""
 
     @property
     def max_residual_px(self) -> float:
-        """The largest with which the frame's fit counted [px]."""
+        """The largest such residual at which the fit would be accepted [px]."""
 
     @property
     def rank(self) -> int:
-        """Directions of the shape space that the measurements determine."""
+        """Number of directions of the shape space that the measurements determine."""
 
     @property
     def iterations(self) -> int:
-        """Searches along the normals in the last shape space."""
+        """Number of searches along the normals in the last shape space."""
 
     @property
     def accepted(self) -> bool:
@@ -2049,83 +2078,89 @@ class Diagnostics:
     ) -> (
         Literal["no-fit", "size", "motion", "agreement", "residual", "background", "misfit"] | None
     ):
-        """Why the fit was not accepted; None if it was.
+        """Reason for refusing the fit; None if it was accepted.
 
-        "no-fit": none was determined that could be a finger. "size": it is much wider, slimmer or
-        more tapered than the hand that is followed. "motion": no hand moves like that.
-        "agreement", "residual": too few edges agree with it, or they lie too far from it.
-        "background": it lies on a table that is known, or inside of what stands before that.
-        "misfit": the finger is bent, so that no straight line is its axis.
+        "no-fit": no fit was determined, or none that could be a finger. "size": it is much wider,
+        slimmer or more tapered than the tracked hand. "motion": its motion is impossible for a
+        hand. "agreement": too few edges agree with it. "residual": the residual offsets of the
+        agreeing edges are too large. "background": it lies on the known background, or inside an
+        object in front of that. "misfit": the finger is bent; no straight line is its axis.
         """
 
     @property
     def innovation(self) -> float | None:
-        """How much place and angle of a fit surprise, as a normalised square.
+        """Normalised square of the innovation of position and angle.
 
-        3 on average for a hand that moves as the option ``track.dynamics`` says; above 21 once in
-        10,000 frames. None where nothing foretold them.
+        3 on average for a hand that moves as the option ``track.dynamics`` states; above 21 once
+        in 10,000 frames. None without a prediction.
         """
 
     @property
     def bend_rad(self) -> float | None:
-        """How much the finger is bent, as the image shows it [rad].
+        """Bend of the finger in the image [rad].
 
-        The direction of the part with the tip minus that of the part with the knuckle. Beyond 0.35
-        (20°) the fit is a "misfit", if it is so by two standard deviations or in the second frame
-        in a row; from then on until it is below 0.26 (15°) and the tip is seen, or a frame that
-        does not tell it shows the contour whole. A view sees only what of a bend lies across its
-        line of sight. None where the flanks of either part do not tell, for a fit that is refused
-        for another reason, and for the paper's model.
+        Direction of the half with the tip minus that of the half with the knuckle. The fit is
+        refused as "misfit" if the bend exceeds 0.35 (20°) by two standard deviations, or in two
+        consecutive frames. This lasts until the bend is below 0.26 (15°) and the tip is visible,
+        or until a frame that does not determine the bend shows the whole contour. A view shows
+        only the component of a bend across its line of sight. None if the flanks of either half do
+        not determine it, if the fit is refused for another reason, and for the paper's model.
         """
 
 @final
 class EdgePoints:
-    """Edges along a path, one for each stretch of it that has one, in its order."""
+    """Edges along a path, at most one for each stretch, in the order of the path."""
 
     def __len__(self) -> int: ...
     @property
     def position_px(self) -> NDArray[np.float64]:
-        """Where they are, (N, 2) [px]."""
+        """Positions of the edges [px], (N, 2)."""
 
     @property
     def offset_px(self) -> NDArray[np.float64]:
-        """Their distances from the path along its normal, (N,) [px]."""
+        """Signed distances of the edges from the path along its normal [px], (N,)."""
 
     @property
     def contrast(self) -> NDArray[np.float64]:
-        """The steps of grey levels across them, (N,); positive where they rise along the normal."""
+        """Steps across the edges [grey levels], (N,); positive if they rise along the normal."""
 
     @property
     def sigma_px(self) -> NDArray[np.float64]:
-        """Standard deviations of the distances by noise of 2 grey levels, and roughness [px]."""
+        """Standard deviations of the distances [px], (N,).
+
+        They follow from noise of 2 grey levels and the roughness of cut edges.
+        """
 
 @final
 class LineFit:
-    """The line that most of some edges lie on."""
+    """The line with the largest consensus among edges; see `fit_line`."""
 
     @property
     def point_px(self) -> tuple[float, float]:
-        """A point of it, in the middle of its edges [px]."""
+        """A point of the line, in the middle of the inliers [px]."""
 
     @property
     def angle_rad(self) -> float:
-        """Its direction [rad]: up to a half turn, for edges tell no more."""
+        """Direction of the line [rad], determined up to a half turn."""
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        """Of the offset at the point along the normal [px] and the angle [rad], (2, 2)."""
+        """Covariance of (offset, angle), (2, 2).
+
+        The offset [px] is along the line's normal at the point, the angle in radians.
+        """
 
     @property
     def share(self) -> float:
-        """The part of the edges that lie on it, from 0 to 1."""
+        """Fraction of the edges that are inliers, 0 to 1."""
 
     @property
     def inliers(self) -> NDArray[np.bool_]:
-        """Which edges lie on it, (N,)."""
+        """Whether each edge is an inlier, (N,)."""
 
     @property
     def rms_px(self) -> float:
-        """Root mean square of their residuals [px]."""
+        """Root mean square of the inliers' residuals [px]."""
 
 def edges_along(
     image: NDArray[np.uint8],
@@ -2134,52 +2169,55 @@ def edges_along(
     polarity: int,
     least_contrast: float,
 ) -> EdgePoints:
-    """Locate an edge along a path, to part of a pixel.
+    """Localise an edge along a path to a fraction of a pixel.
 
-    Rows or columns of pixels across each of some 32 stretches of the path, at most 8 px long, are
-    taken together and correlated with the derivative of a Gaussian, which moves over them: no
-    pixel is interpolated, and no place in the pixel grid is preferred.
+    Each stretch of the path, 1/32 of its length but at least 1 px and at most 8 px, gives at most
+    one edge. The rows or columns of pixels across it are correlated together with the derivative of
+    a Gaussian. The kernel is shifted instead of the pixels, so no pixel is interpolated and no
+    position in the pixel grid is preferred.
 
     Parameters
     ----------
-    image
-        (H, W) Grey levels.
-    path_px
-        (K, 2) Corners of a polyline that runs near the edge [px]. Parts of it so near to the
-        border that the kernel leaves the image have no edges.
+    image : (height, width)
+        Grey levels; not copied.
+    path_px : (K, 2)
+        Corners of a polyline near the edge [px]. Parts at which the kernel would leave the image
+        have no edges.
     reach_px
-        How far from the path edges are looked for, 0.5 to 100 [px].
+        Maximum distance of an edge from the path [px], 0.5 to 100.
     polarity
         1 for edges that rise along the normal, which is the path's direction turned by 90° from +u
         towards +v; -1 for those that fall; 0 for both.
     least_contrast
-        The least step of an edge [grey levels].
+        Minimum step of an edge [grey levels].
 
     Raises
     ------
     InvalidInputError
-        Another reach or polarity, or a path that is not finite.
+        A reach or polarity out of range; a path or contrast that is not finite.
     """
 
 def fit_line(points_px: ArrayLike, sigmas_px: ArrayLike) -> LineFit | None:
-    """Fit the line that most edges lie on, by least squares with biweights.
+    """Fit the line with the largest consensus, refined by least squares with biweights.
 
-    The covariance follows from the residuals: neighbours that err alike count as fewer.
+    The covariance is estimated from the residuals; their correlation between neighbours reduces
+    the effective number of points.
 
     Parameters
     ----------
-    points_px
-        (N, 2) [px]
-    sigmas_px
-        (N,) Standard deviation of each, up to one factor, > 0 [px].
+    points_px : (N, 2)
+        Points in order along the line [px].
+    sigmas_px : (N,)
+        Standard deviation of each point, up to one common factor, > 0 [px].
 
     Returns
     -------
     LineFit or None
-        None for fewer than 5 points, or if they lie on no line.
+        None for fewer than 5 points, or without consensus.
 
     Raises
     ------
     InvalidInputError
-        Other numbers of both, or values that are not finite.
+        Different numbers of points and standard deviations; a standard deviation that is not
+        positive; values that are not finite.
     """

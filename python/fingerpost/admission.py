@@ -1,7 +1,7 @@
-"""What the main loop takes: rigs, options and frames that fit together.
+"""Input checks of the main loop: rigs, options and frames that fit together.
 
-Whatever does not is refused before any part of it is used, in words that say what would be right.
-What a rig's own pictures belie is asked here once, for the main loop, the doctor and the advisor.
+Bad input is refused before any part of it is used, with a message that says what would be right.
+The checks of a rig against its own images are shared by the main loop, the doctor and the advisor.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from fingerpost.references import Reduction
 
 
 def different_sides(rig: Rig, plane_views: Sequence[PlaneView]) -> Contradiction | None:
-    """Tell whether views see the plane from different sides, which cameras cannot.
+    """Return a contradiction if views see the plane from different sides, which is impossible.
 
-    Which side is the upper one is not asked: plane axes may turn either way, alike for all views.
+    Either side may be the upper one: the plane's axes may turn either way, equally in all views.
 
     Parameters
     ----------
     rig
         One view or more.
     plane_views
-        How its views see the plane, in its order.
+        Homographies of its views, in its order.
     """
     turns = [_turn(view) for view in plane_views]
     if len(set(turns)) <= 1:
@@ -58,7 +58,7 @@ def _turn(plane_view: PlaneView) -> float:
 
 
 def other_size(view: View, size_px: tuple[int, int]) -> Contradiction | None:
-    """Tell whether a rig's pixels were measured in images of another size than a view's."""
+    """Return a contradiction if a rig's pixels were measured in images of another size."""
     if view.size_px is None or view.size_px == size_px:
         return None
     width, height = size_px
@@ -70,12 +70,12 @@ def other_size(view: View, size_px: tuple[int, int]) -> Contradiction | None:
 
 
 def refuse_unknown_points(rig: Rig) -> None:
-    """Refuse a rig whose reference points are still to be found, where pictures are not looked at.
+    """Refuse a rig without reference points, for callers that do not search images for them.
 
     Raises
     ------
     InvalidInputError
-        A view has none.
+        A view has no reference points.
     """
     for view in rig.views:
         if not view.reference_points_px:
@@ -86,10 +86,10 @@ def refuse_unknown_points(rig: Rig) -> None:
 
 
 def points_outside(view: View, size_px: tuple[int, int]) -> Contradiction | None:
-    """Tell whether most reference points lie outside an image (width, height) of their view.
+    """Return a contradiction if most reference points lie outside an image (width, height).
 
-    Some may, where a camera shows a part of the plane; most do where they were measured in larger
-    images. Those that were measured in smaller ones lie inside: nothing shows it.
+    Some may, if a camera shows a part of the plane; most do if they were measured in larger
+    images. Points that were measured in smaller images lie inside and are not detected.
     """
     points_px = np.array(view.reference_points_px)
     if len(points_px) == 0:
@@ -105,7 +105,7 @@ def points_outside(view: View, size_px: tuple[int, int]) -> Contradiction | None
 
 
 def reduced_view(view: View, reduction: Reduction) -> View:
-    """Return a view as its rig would tell it of reduced pictures."""
+    """Return the parameters of a view in the pixels of reduced images."""
     lens, start = reduction.lens(view.lens), view.start
     covariances_px2 = view.reference_covariances_px2
     return structs.replace(
@@ -139,7 +139,7 @@ def check_tracker_options(options: Mapping[str, Any] | None) -> None:
     Raises
     ------
     InvalidInputError
-        No mapping, an unknown key or a value out of range; the message has the path of the key.
+        Not a mapping, an unknown key or a value out of range; the message names the key's path.
     """
     if not isinstance(options, Mapping | None):
         raise InvalidInputError(
@@ -152,12 +152,12 @@ def check_tracker_options(options: Mapping[str, Any] | None) -> None:
 
 
 class Admission:
-    """Lets in what cameras of one rig can give.
+    """Checks the frames of one rig's cameras.
 
     Parameters
     ----------
     views
-        The rig's.
+        Views of the rig.
     """
 
     def __init__(self, views: Sequence[View]) -> None:
@@ -165,20 +165,20 @@ class Admission:
         self._sizes_px: list[tuple[int, int] | None] = [None] * len(views)
 
     def admit(self, frames: Sequence[Frame | Loss | None]) -> None:
-        """Refuse frames that are none, or not this rig's; losses are let in.
+        """Refuse frames that are unusable or do not fit this rig; losses are accepted.
 
         Raises
         ------
         InvalidInputError
-            Another number of frames than views, an entry that is no frame, or one whose image or
-            time cannot be used; a view's first frame that does not show half of its reference
-            points; or a later one of another size.
+            The number of entries differs from that of the views; an entry is not a frame, or its
+            image or time is unusable; the first frame of a view contains fewer than half of its
+            reference points; or a later frame has another size.
         """
         self._refuse_unusable(frames)
         self._refuse_other_sizes(frames)
 
     def _refuse_unusable(self, frames: Sequence[Frame | Loss | None]) -> None:
-        """Refuse what no camera gives, before any part of it is used."""
+        """Refuse entries that no camera produces, before any part of them is used."""
         views = self._views
         if not isinstance(frames, Sequence) or len(frames) != len(views):
             given = isinstance(frames, Sequence)
@@ -212,7 +212,7 @@ class Admission:
 
 
 def _unusable(frame: object) -> str:
-    """Say what is wrong with a frame of somebody else's making; empty if nothing is."""
+    """Return what is wrong with a frame made by the caller; empty if nothing is."""
     if not isinstance(frame, Frame):
         return f"{type(frame).__name__} found; a Frame is needed, or None"
     image, place = frame.image, f"the image of frame {frame.index}"

@@ -1,7 +1,7 @@
-"""Many recordings at once: every core works, what is done is not done again, what fails is listed.
+"""Processing of many recordings on all cores; completed ones are not repeated, failures are listed.
 
 Each recording gets a folder of its own with `points.csv`, `tracks.csv` and `outcome.json`. It is
-called `NAME.part` until it is complete; so a batch that is stopped goes on where it was.
+called `NAME.part` until it is complete, so a batch that was stopped resumes where it was.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ _TRIES = 2
 
 
 class Task(msgspec.Struct, frozen=True, kw_only=True):
-    """One recording to work through.
+    """One recording to process.
 
     Attributes
     ----------
     name
-        What its folder is called.
+        Name of its folder.
     rig
         The rig file or recording, as an absolute path.
     changed_ns
-        When that file was changed last.
+        Time of the file's last change.
     options
-        What differs from the tracker's defaults.
+        Options that differ from the tracker's defaults.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """What came of a recording.
+    """Result of a recording.
 
     Attributes
     ----------
@@ -68,13 +68,13 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     unit
         The plane's unit; empty if it failed.
     statuses
-        How many fixes of each status.
+        Number of fixes of each status.
     semi_axis
         Median of the larger semi-axis of the 95 % ellipses, in plane units; None without a point.
     reason
         Why it failed; empty if it did not.
     notes
-        What was noticed of its views, for people.
+        Remarks on its views, for people.
     """
 
     task: Task
@@ -86,19 +86,19 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def frames(self) -> int:
-        """How many fixes there are."""
+        """Number of fixes."""
         return sum(self.statuses.values())
 
 
 def tasks(patterns: Sequence[str], options: Mapping[str, Any]) -> list[Task]:
-    """Return the recordings that patterns name.
+    """Return the recordings that match patterns.
 
     Parameters
     ----------
     patterns
         Rig files and recordings, by name or as globs.
     options
-        What differs from the tracker's defaults.
+        Options that differ from the tracker's defaults.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def tasks(patterns: Sequence[str], options: Mapping[str, Any]) -> list[Task]:
     """
     paths: dict[Path, None] = {}
     for pattern in patterns:
-        found = sorted(glob.glob(pattern, recursive=True))  # noqa: PTH207 - takes absolute ones
+        found = sorted(glob.glob(pattern, recursive=True))  # noqa: PTH207 - absolute patterns too
         if not found:
             raise InvalidInputError(f"{pattern}: no file matches; rig files or recordings are")
         paths.update(dict.fromkeys(Path(os.path.abspath(name)) for name in found))  # noqa: PTH100
@@ -123,12 +123,12 @@ def tasks(patterns: Sequence[str], options: Mapping[str, Any]) -> list[Task]:
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """Return a name for each path: its own, with as many folders before it as tell all apart."""
+    """Return a unique name for each path: its stem, prefixed by as few folders as needed."""
     for depth in range(1, max(len(path.parts) for path in paths) + 1):
         names = ["-".join(path.with_suffix("").parts[-depth:]) for path in paths]
         if len(set(names)) == len(names):
             return names
-    return [f"{k}-{path.stem}" for k, path in enumerate(paths)]  # they differ in their suffix
+    return [f"{k}-{path.stem}" for k, path in enumerate(paths)]  # they differ only in the suffix
 
 
 def run_batch(
@@ -137,47 +137,47 @@ def run_batch(
     *,
     workers: int | None = None,
     cluster: Cluster | None = None,
-    tell: Callable[[int, int], None] = lambda _done, _of: None,
+    report: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> list[Outcome]:
-    """Work through recordings; those of which the folder holds the outcome are not done again.
+    """Process recordings; those whose outcome is in the folder are not processed again.
 
     Parameters
     ----------
     todo
         The recordings.
     folder
-        Gets a folder for each; made if need be.
+        Gets a folder for each; created if needed.
     workers
-        How many processes; None for all cores.
+        Number of processes; None for all cores.
     cluster
-        Where to work instead of here. Its workers have to see the recordings, by the same names.
-    tell
-        Told how many of all are done.
+        Machines to use instead of this one. Their workers need the recordings under the same paths.
+    report
+        Called with the number of finished recordings and that of all.
 
     Returns
     -------
     list of Outcome
-        In the order of the recordings; of those that failed with the reason.
+        In the order of the recordings; failed ones have a reason.
 
     Raises
     ------
     InvalidInputError
-        Fewer than one worker, or a folder that cannot be made.
+        Fewer than one worker, or a folder that cannot be created.
     """
     count = worker_count(workers)
     make_folder(folder)
     done = {task.name: known for task in todo if (known := _known(task, folder)) is not None}
     begun: Counter[str] = Counter()
-    tell(len(done), len(todo))
+    report(len(done), len(todo))
     if cluster is not None:
         left = [task for task in todo if task.name not in done]
         for outcome in _far_away(left, folder, cluster):
             done[outcome.task.name] = outcome
-            tell(len(done), len(todo))
+            report(len(done), len(todo))
     while left := [task for task in todo if task.name not in done]:
         for outcome in _shared(left, folder, min(count, len(left))):
             done[outcome.task.name] = outcome
-            tell(len(done), len(todo))
+            report(len(done), len(todo))
         for task in left:
             if task.name not in done and _part(task, folder).exists():
                 begun[task.name] += 1
@@ -188,7 +188,7 @@ def run_batch(
 
 
 def _shared(left: Sequence[Task], folder: Path, workers: int) -> Iterable[Outcome]:
-    """Share recordings among processes, until all are done or a process has died."""
+    """Distribute recordings to processes until all are done or a process has died."""
     for task in left:
         shutil.rmtree(_part(task, folder), ignore_errors=True)
     with sharing(workers) as pool:
@@ -201,7 +201,7 @@ def _shared(left: Sequence[Task], folder: Path, workers: int) -> Iterable[Outcom
 
 
 def _far_away(left: Sequence[Task], folder: Path, cluster: Cluster) -> Iterator[Outcome]:
-    """Have recordings worked through on a cluster; what comes of them is written here."""
+    """Process recordings on a cluster; the results are written here."""
     for task, came, reason in cluster.each(work_far_away, left):
         if reason:
             yield Outcome(task=task, reason=reason)
@@ -218,18 +218,18 @@ def _far_away(left: Sequence[Task], folder: Path, cluster: Cluster) -> Iterator[
 
 
 def work_far_away(task: Task) -> tuple[Outcome, dict[str, bytes]]:
-    """Work through one recording on a worker of a cluster, whose disk nobody else need see.
+    """Process one recording on a worker of a cluster, which needs no shared disk for the results.
 
     Returns
     -------
     tuple
-        What came of it, and the files of its folder by their names; none if it failed. The reason
-        names the worker then.
+        The outcome, and the files of its folder by name. If it failed, there are no files, and the
+        reason names the worker.
     """
     import cv2
     from distributed import get_worker
 
-    cv2.setNumThreads(1)  # as many workers as cores; those of BLAS are held by Dask's nannies
+    cv2.setNumThreads(1)  # as many workers as cores; Dask's nannies limit the threads of BLAS
     with tempfile.TemporaryDirectory() as folder:
         outcome = work(task, folder)
         if outcome.reason:
@@ -244,7 +244,7 @@ def _part(task: Task, folder: Path) -> Path:
 
 
 def _known(task: Task, folder: Path) -> Outcome | None:
-    """Return the outcome of a recording that was worked through before, with these options."""
+    """Return the outcome of a recording that was processed before with these options."""
     try:
         data = (folder / task.name / _OUTCOME).read_bytes()
         outcome = msgspec.json.decode(data, type=Outcome)
@@ -254,7 +254,7 @@ def _known(task: Task, folder: Path) -> Outcome | None:
 
 
 def work(task: Task, folder: str) -> Outcome:
-    """Work through one recording, in a process of its own; an error of it is its outcome."""
+    """Process one recording in a process of its own; an error becomes its outcome."""
     part = _part(task, Path(folder))
     try:
         part.mkdir(parents=True, exist_ok=True)
@@ -277,15 +277,15 @@ def _complete(part: Path, complete: Path) -> None:
 
 @contextmanager
 def _warnings() -> Iterator[list[str]]:
-    """Keep what is logged meanwhile, which would stand between the lines of the progress."""
-    heard: list[str] = []
+    """Collect the messages logged meanwhile, which would interrupt the progress display."""
+    messages: list[str] = []
     handler = logging.Handler(logging.WARNING)
-    handler.emit = lambda record: heard.append(record.getMessage())  # type: ignore[method-assign]
+    handler.emit = lambda record: messages.append(record.getMessage())  # type: ignore[method-assign]
     logger = logging.getLogger("fingerpost")
     logger.addHandler(handler)
     logger.propagate = False
     try:
-        yield heard
+        yield messages
     finally:
         logger.propagate = True
         logger.removeHandler(handler)

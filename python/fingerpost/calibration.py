@@ -1,7 +1,7 @@
-"""What an operator indicates while he points at known places: by dwelling, by a key, or by times.
+"""Calibration of an operator who points at known places in a known order.
 
-He points at one place after another, in a known order. A hand dwells where its points stay together
-for a while; it is at the next place once it dwells elsewhere than at the last one.
+The visit to a place is recognised by dwelling, by a key, or by given times. A hand dwells while its
+points stay together; it is at the next place once it dwells elsewhere than at the last one.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from fingerpost.habit import MIN_TARGETS, Habit
 from fingerpost.selection import GRACE_S
 
 STILL = 1 / 8
-"""Points that lie together have this standard distance from their mean at most [share of the least
-distance between places that follow each other]: a hand on its way is never so slow."""
+"""Largest standard distance of points from their mean that counts as a dwell [share of the least
+distance between consecutive places]; a hand on its way between places is faster."""
 
 ELSEWHERE = 1 / 2
-"""From the last place to the next one, the points have moved by more than this share of the way."""
+"""Least motion of the points from the last place to the next one [share of the way]."""
 
 MIN_FIXES = 3
-"""No place is taken from fewer."""
+"""Least number of fixes for a visit."""
 
 _COLUMNS = ("target", "begin_s", "end_s")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Place:
-    """A known place to point at: its name, and its middle (2,) [plane units]."""
+    """A known place to point at: its name and its centre (2,) [plane units]."""
 
     name: str
     point: NDArray[np.float64]
@@ -46,7 +46,7 @@ class Place:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Visit:
-    """A place, and what was indicated while it was pointed at (2,) [plane units]."""
+    """A place, and the point (2,) that was indicated for it [plane units]."""
 
     place: Place
     point: NDArray[np.float64]
@@ -54,7 +54,7 @@ class Visit:
 
 @dataclass(frozen=True, slots=True)
 class Stay:
-    """When a place was pointed at: its name, and from when to when [s]."""
+    """Period in which a place was pointed at: its name, begin and end [s]."""
 
     target: str
     begin_s: float
@@ -62,19 +62,19 @@ class Stay:
 
 
 def places_of(rig: Rig) -> list[Place]:
-    """Return the middles of a rig's targets, in their order; places to rest at are none."""
+    """Return the centres of a rig's targets, in their order, without the places to rest at."""
     return [
         Place(target.name, target.corners.mean(axis=0)) for target in rig.things if not target.rest
     ]
 
 
 def places_in(text: str) -> list[Place]:
-    """Return places that are given as "x,y; x,y; ...", called by their number.
+    """Return the places given as "x,y; x,y; ...", named by their number.
 
     Raises
     ------
     InvalidInputError
-        An entry that is no pair of numbers.
+        An entry that is not a pair of numbers.
     """
     places = []
     for number, entry in enumerate(filter(str.strip, text.split(";")), 1):
@@ -89,19 +89,19 @@ def places_in(text: str) -> list[Place]:
 
 
 class Calibration:
-    """Takes the points that an operator indicates, and notices when he points at the next place.
+    """Collects the points that an operator indicates, and detects the visit to each place.
 
     Parameters
     ----------
     places
-        In the order in which he points at them, `MIN_TARGETS` or more.
+        In the order in which they are pointed at, `MIN_TARGETS` or more.
     dwell_s
-        How long he stays on each [s].
+        Time to dwell on each [s].
 
     Raises
     ------
     InvalidInputError
-        Too few places, one that follows itself, or `dwell_s` out of range.
+        Too few places, two equal ones in succession, or `dwell_s` out of range.
     """
 
     def __init__(self, places: Sequence[Place], dwell_s: float) -> None:
@@ -119,12 +119,12 @@ class Calibration:
 
     @property
     def next(self) -> Place | None:
-        """The place to point at now; None when all have been."""
+        """The place to point at now; None after the last one."""
         return self._places[len(self.visits)] if len(self.visits) < len(self._places) else None
 
     @property
     def stayed(self) -> float:
-        """The part of the dwell for which the hand has stayed at the next place, 0 to 1."""
+        """Fraction of the dwell time that the hand has spent at the next place, 0 to 1."""
         if not self._latest or self.next is None:
             return 0.0
         now_s, here = self._latest[-1]
@@ -138,25 +138,25 @@ class Calibration:
         return min((now_s - since_s) / self._dwell_s, 1.0)
 
     def take(self, time_s: float, point: NDArray[np.float64] | None) -> Visit | None:
-        """Take the next fix's time and point; return the visit that it completes."""
+        """Add the time and point of a fix; return the visit that it completes."""
         if point is None:
             return None
         if self._latest and time_s - self._latest[-1][0] > GRACE_S:
             self._latest.clear()
         self._latest.append((time_s, point))
-        # The oldest one stays while those after it do not last for a dwell.
+        # The oldest point stays while those after it span less than the dwell time.
         while len(self._latest) > 1 and time_s - self._latest[1][0] >= self._dwell_s:
             self._latest.popleft()
         if time_s - self._latest[0][0] < self._dwell_s:
             return None
         points = np.array([point for _, point in self._latest])
         is_still = float(np.mean(np.var(points, axis=0))) * 2.0 <= self._still**2
-        # The way to the place may reach into the dwell's first half.
+        # The first half of the dwell may contain the end of the way to the place.
         settled = points[len(points) // 2 :]
         return self._visit(settled) if is_still and self._is_elsewhere(settled) else None
 
     def press(self) -> Visit | None:
-        """Take the latest points for those of the next place; None if there are too few."""
+        """Take the latest points as the visit to the next place; None if there are too few."""
         since_s = self._latest[-1][0] - GRACE_S if self._latest else 0.0
         return self._visit(np.array([point for time_s, point in self._latest if time_s >= since_s]))
 
@@ -176,7 +176,7 @@ class Calibration:
 
 
 def refuse_too_few(places: Sequence[Place]) -> None:
-    """Refuse places that a habit cannot be estimated from.
+    """Refuse too few places for the estimate of a habit.
 
     Raises
     ------
@@ -190,12 +190,12 @@ def refuse_too_few(places: Sequence[Place]) -> None:
 
 
 def read_stays(path: Path) -> list[Stay]:
-    """Read when places were pointed at: a table with the columns target, begin_s and end_s.
+    """Read the periods of pointing: a table with the columns target, begin_s and end_s.
 
     Raises
     ------
     InvalidInputError
-        The file cannot be read, lacks a column, or has a row whose times are none.
+        The file cannot be read, lacks a column, or has a row without valid times.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -230,21 +230,21 @@ def visits_of(
     stays: Sequence[Stay],
     fixes: Iterable[tuple[float, NDArray[np.float64] | None]],
 ) -> list[Visit]:
-    """Return what was indicated while places were pointed at.
+    """Return the points that were indicated for places.
 
     Parameters
     ----------
     places
         All of them.
     stays
-        When which one was pointed at.
+        Periods in which each was pointed at.
     fixes
-        Times and points, all of the session.
+        Times and points of the whole session.
 
     Raises
     ------
     InvalidInputError
-        A stay at a place that is none, or with too few fixes.
+        A stay at an unknown place, or with too few fixes.
     """
     known = {place.name: place for place in places}
     for stay in stays:
@@ -266,7 +266,7 @@ def visits_of(
 
 
 def habit_of(visits: Sequence[Visit]) -> Habit:
-    """Estimate an operator's habit from what he indicated.
+    """Estimate an operator's habit from visits.
 
     Raises
     ------

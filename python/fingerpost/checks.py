@@ -1,8 +1,8 @@
-"""The public boundary: whatever a caller hands over becomes a checked array, or a typed error.
+"""Checks of arguments at the public boundary: a checked array, or a typed error.
 
-The wording of every complaint about shape, type, NaN and covariance of what is measured lives here
-once; options of the simulated rig have `fingerpost.simulate.checks`. A message names the value, its
-place and what would be right.
+All messages about shape, type, NaN and covariance of measurements are worded here; options of the
+simulated rig have `fingerpost.simulate.checks`. A message names the value, its place and what would
+be right.
 """
 
 import math
@@ -15,30 +15,30 @@ from numpy.typing import ArrayLike, NDArray
 
 from fingerpost.errors import InvalidInputError
 
-# A covariance computed in floating point may miss symmetry or a zero eigenvalue by rounding,
-# far less than this share of its largest entry; anything beyond is another matrix.
+# Largest deviation from symmetry or a zero eigenvalue [share of the largest entry]. Rounding in
+# floating point causes far smaller ones.
 _COVARIANCE_ROUNDING = 1e-9
 
 
 def finite_array(
     value: ArrayLike, name: str, shape: tuple[int | str | EllipsisType, ...]
 ) -> NDArray[np.float64]:
-    """Give `value` as an array of finite floats of the wanted shape.
+    """Return `value` as an array of finite floats of the required shape.
 
     Parameters
     ----------
     value
         Anything NumPy can read as integers or real numbers.
     name
-        What the caller calls the value; opens the message of every error.
+        The caller's name of the value; every message begins with it.
     shape
-        Wanted shape, all integers but perhaps the first entry: a letter there leaves the length
-        free, ``...`` allows any axes before the rest, as in ``("N", 2)`` and ``(..., 2)``.
+        Required shape: integers, except that the first entry may be a letter for any length, or
+        ``...`` for any leading axes, as in ``("N", 2)`` and ``(..., 2)``.
 
     Returns
     -------
     ndarray of float64
-        The value itself where it already is one; never written to by this package.
+        The value itself if it already is such an array; this package never writes to it.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def finite_array(
         and _fits(value.shape, shape)
         and math.isfinite(np.vdot(value, value))
     ):
-        return value  # decided in a microsecond: this runs in every frame
+        return value  # takes a microsecond: this runs in every frame
     try:
         array = np.asarray(value)
     except ValueError as error:  # rows of different length
@@ -72,7 +72,7 @@ def finite_array(
 def covariance_array(
     value: ArrayLike, name: str, shape: tuple[int | str | EllipsisType, ...]
 ) -> NDArray[np.float64]:
-    """Give `value` as covariance matrices over its last two axes, made exactly symmetric.
+    """Return `value` as covariance matrices over its last two axes, made exactly symmetric.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def covariance_array(
     Returns
     -------
     ndarray of float64
-        Symmetric; zero and singular matrices pass, they stand for what is known exactly.
+        Symmetric; may be singular or zero, for quantities that are known exactly.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def covariance_array(
 
 
 def _symmetric_2x2(array: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Give one 2 × 2 covariance made symmetric, in a microsecond; None for another matrix."""
+    """Return one 2 × 2 covariance made symmetric, in a microsecond; None for another matrix."""
     (xx, xy), (yx, yy) = array.tolist()
     slack = _COVARIANCE_ROUNDING * max(abs(xx), abs(xy), abs(yx), abs(yy))
     mixed = (xy + yx) / 2
@@ -117,7 +117,7 @@ def _symmetric_2x2(array: NDArray[np.float64]) -> NDArray[np.float64] | None:
 
 
 def in_range(value: float, name: str, low: float, high: float = np.inf) -> float:
-    """Give `value` as a float if ``low <= value <= high`` (so NaN is refused).
+    """Return `value` as a float if ``low <= value <= high`` (so NaN is refused).
 
     Raises
     ------
@@ -132,23 +132,23 @@ def in_range(value: float, name: str, low: float, high: float = np.inf) -> float
 
 
 def opencv_path(path: Path, name: str) -> str:
-    """Give `path` as the string that OpenCV must get to reach that file.
+    """Return `path` as the string by which OpenCV finds that file.
 
-    OpenCV hands the UTF-8 of a string to the system, whatever Python's own encoding of file names
-    is, and ends the whole process where a string has none.
+    OpenCV passes the UTF-8 of a string to the system, whatever Python's encoding of file names is,
+    and terminates the process if a string has no UTF-8.
 
     Parameters
     ----------
     path
         A file to be read or written.
     name
-        What the caller calls the path; opens the message of every error.
+        The caller's name of the path; every message begins with it.
 
     Returns
     -------
     str
-        Its UTF-8 is the file's name as the system knows it. Under a locale whose file names are
-        not UTF-8 it may differ from ``str(path)``: hand it to OpenCV and to nothing else.
+        Its UTF-8 is the file's name in the system. Under a locale whose file names are not UTF-8
+        it may differ from ``str(path)``: pass it to OpenCV only.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def opencv_path(path: Path, name: str) -> str:
 
 
 def unused(path: Path) -> Path:
-    """Return a path, or one beside it with a number in its name, that does not exist yet.
+    """Return a path that does not exist yet: the given one, or one with a number in its name.
 
     Parameters
     ----------
@@ -181,12 +181,12 @@ def unused(path: Path) -> Path:
 
 
 def make_folder(folder: Path) -> Path:
-    """Make a folder and those above it, where they do not exist; return it.
+    """Create a folder and its parents if they do not exist; return it.
 
     Raises
     ------
     InvalidInputError
-        It cannot be made.
+        It cannot be created.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,9 +1,9 @@
-"""Work shared out among the machines of a Dask cluster.
+"""Distribution of work to the machines of a Dask cluster.
 
-Workers that are lost in the middle cost what they were at, which others do again. What a cluster
-lacks is said before anything is begun: a scheduler or worker on which fingerpost cannot be imported
-fails otherwise with errors of pickling, which help nobody. Functions and results are pickled, so
-whoever reaches a scheduler can run anything on its machines: bind it to loopback, or use TLS.
+The task of a lost worker is repeated by another. A cluster is checked before any work begins: a
+scheduler or worker that cannot import fingerpost would otherwise fail with obscure pickling errors.
+Functions and results are pickled, so whoever reaches a scheduler can run anything on its machines:
+bind it to loopback, or use TLS.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _MOST_WORKERS = 1024
 
 
 class Cluster:
-    """A cluster that is as it should be.
+    """A cluster that has passed the checks.
 
     Parameters
     ----------
     client
-        A client of Dask, connected.
+        A connected Dask client.
     """
 
     def __init__(self, client: Client) -> None:
@@ -46,30 +46,31 @@ class Cluster:
     def each(
         self, function: Callable[[Thing], Any], things: Sequence[Thing]
     ) -> Iterator[tuple[Thing, Any, str]]:
-        """Call a function with each of several things, anywhere.
+        """Call a function with each of several arguments on the cluster.
 
         Parameters
         ----------
         function
-            Of a module of fingerpost.
+            A function of a module of fingerpost.
         things
-            Its arguments; what may be pickled.
+            Its arguments; they must be picklable.
 
         Yields
         ------
         tuple
-            As they are done: the thing; what the function has returned; why there is nothing.
+            In the order of completion: the argument, the return value, and the reason for a
+            failure.
 
         Raises
         ------
         FingerpostError
-            The scheduler is gone.
+            The scheduler was lost.
         """
         as_completed: Any = require("distributed", "cluster").as_completed
         waiting = {self._client.submit(function, thing, pure=False): thing for thing in things}
         completed = as_completed(waiting)
         for future in completed:
-            if future.status == "lost":  # with its worker, and done again by another
+            if future.status == "lost":  # with its worker; another worker repeats the task
                 completed.add(future)
                 continue
             if future.status == "cancelled":
@@ -100,15 +101,15 @@ def cluster_at(address: str) -> Iterator[Cluster]:
     Raises
     ------
     InvalidInputError
-        It is none.
+        The address is invalid.
     FingerpostError
-        Nobody answers there, there are no workers, or they are not as they should be.
+        Nobody answers there, there are no workers, or they fail the checks.
     MissingExtraError
         The extra `cluster` is not installed.
     """
     count = _local_count(address)
     distributed = require("distributed", "cluster")
-    for name in ("distributed", "tornado"):  # what they say of single connections helps nobody
+    for name in ("distributed", "tornado"):  # their messages on single connections do not help
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with ExitStack() as stack:
         target: Any = address
@@ -142,7 +143,7 @@ def _missing(said: str) -> str:
 
 
 def _local_count(address: str) -> int | None:
-    """Return how many workers are to be started here; None for a cluster that there is."""
+    """Return the number of workers to start on this machine; None for an existing cluster."""
     word, _, number = address.partition(":")
     if word == _LOCAL and number.isdecimal() and 1 <= int(number) <= _MOST_WORKERS:
         return int(number)
@@ -155,21 +156,21 @@ def _local_count(address: str) -> int | None:
 
 
 def _version_of_scheduler(client: Client) -> object:
-    """Return the version of fingerpost that a scheduler has, or why it has none."""
+    """Return a scheduler's version of fingerpost, or the reason for which it has none."""
     run_there: Any = client.run_on_scheduler
     try:
         return run_there(pkgutil.resolve_name, _VERSION)
-    except Exception as error:  # whatever an import may raise
+    except Exception as error:  # an import may raise anything
         return error
 
 
 def _refuse_version(place: str, version: object, address: str) -> None:
-    """Refuse a place that lacks fingerpost, or has another version.
+    """Refuse a scheduler or worker that lacks fingerpost or has another version of it.
 
     Raises
     ------
     FingerpostError
-        It does.
+        It is refused.
     """
     here = metadata.version("fingerpost")
     if isinstance(version, BaseException):
@@ -185,12 +186,12 @@ def _refuse_version(place: str, version: object, address: str) -> None:
 
 
 def _refuse_workers(client: Client, address: str) -> None:
-    """Refuse workers that lack fingerpost, or are of several threads.
+    """Refuse workers that lack fingerpost or have several threads.
 
     Raises
     ------
     FingerpostError
-        There are such; the message names the first.
+        The message names the first such worker.
     """
     versions = client.run(pkgutil.resolve_name, _VERSION, on_error="return")
     for worker, version in versions.items():

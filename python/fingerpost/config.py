@@ -1,9 +1,9 @@
-"""The rig file: which cameras look at which plane, and where the hand is first seen.
+"""The rig file: the cameras, the plane they view, and where a template waits for the hand.
 
-A rig file is TOML. `Rig.load` reads it, refuses every key and value it does not know or cannot
-use with one line that says file, key, value and what would be right, and resolves the views'
-sources relative to the file. `Rig.save` writes it back. The classes below are the schema: one
-class per table, one attribute per key.
+A rig file is TOML. `Rig.load` reads it and resolves the views' sources relative to the file. It
+refuses unknown keys and unusable values with one line that names the file, the key, the value and
+what would be right. `Rig.save` writes it back. The classes below are the schema: one class per
+table, one attribute per key.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from fingerpost.rig_text import parsed
 from fingerpost.targets import Target, Targets
 
 RECORDING = ".mcap"
-"""What the name of a recording ends in."""
+"""Suffix of the file name of a recording."""
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 
-# What would be right, per key; ends the message about a key that is missing or of a wrong type.
+# What would be right for each key; the end of the message about a missing key or a wrong type.
 _RIGHT = {
     "": "a [plane] table and one [[view]] table per camera",
     "plane": "one [plane] table with unit and points",
@@ -96,7 +96,7 @@ _UNIT_SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
 
 _MAX_SHOWN = 60
 
-# Beyond these no camera is, and the squares of numbers come to where floats end.
+# Bounds that every camera keeps; squares of larger numbers may overflow.
 _LARGEST_CAMERA = 2**31 - 1
 _LENGTHS_PX = (0.1, 1e5)
 _CAMERA_RANGES = {
@@ -113,14 +113,14 @@ _LARGEST_OFFSET_S = 3600.0
 _MOST_SHEETS = 6
 _VARIANCES_PX2 = (1e-12, 1e12)
 
-# Sides that differ by a smaller part are of one rectangle: people round them.
+# Largest relative difference between the sides of one rectangle: people round them.
 _SAME_SIZE = 0.01
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """What all tables of a rig file share: no other keys, and no later change.
+    """Base of all tables of a rig file: unknown keys are refused, and instances are immutable.
 
-    In Python, lists and arrays do for the file's lists; a value of another type is refused.
+    In Python, lists and arrays are accepted for the file's lists; other types are refused.
     """
 
     def __post_init__(self) -> None:
@@ -163,9 +163,9 @@ class Plane(_Table, kw_only=True, frozen=True):
 
 
 class FixedReference(_Table, frozen=True, tag_field="kind", tag="fixed"):
-    """The camera does not move: the reference points stay where the rig file says.
+    """A static camera: the reference points stay where the rig file says.
 
-    While it has moved all the same, its view gives nothing of the plane; see
+    While the camera is displaced, its view provides no constraint line; see
     `fingerpost.references`.
     """
 
@@ -181,10 +181,10 @@ class RectangleReference(_Table, kw_only=True, frozen=True, tag_field="kind", ta
     size
         Its name, or its sides (w, h) in the plane's unit; see `fingerpost.formats`.
     corners_px
-        About where its corners are (u, v), in px, in the order of the plane's points: they tell
-        which rectangle is meant, and which of its corners is which.
+        Approximate positions (u, v) of its corners, in px, in the order of the plane's points: they
+        identify the rectangle and its corners.
     near_px
-        A pixel (u, v) inside of it, which only selects the one that is meant.
+        A pixel (u, v) inside the rectangle, which identifies only the rectangle.
     """
 
     size: Size
@@ -203,12 +203,12 @@ class MarkersReference(_Table, kw_only=True, frozen=True, tag_field="kind", tag=
     """A sheet of markers that lies on the plane, as `fingerpost markers` writes it.
 
     The plane's points are the corners of the paper: its lower left one is the origin, X runs to the
-    right. One marker in sight is enough.
+    right. One visible marker is enough.
 
     Attributes
     ----------
     size
-        That of the paper; see `fingerpost.formats`.
+        Size of the paper; see `fingerpost.formats`.
     sheet
         Number of the sheet, 1 to 6.
     """
@@ -229,7 +229,7 @@ class ScreenReference(_Table, kw_only=True, frozen=True, tag_field="kind", tag="
     Attributes
     ----------
     size
-        Width and height of what shines, in the plane's unit.
+        Width and height of the lit area, in the plane's unit.
     sheet
         Number of the sheet, 1 to 6.
     """
@@ -255,7 +255,7 @@ class LensParameters(_Table, kw_only=True, frozen=True):
     cx, cy
         Principal point in px, at most 1e9 from the first pixel.
     k1, k2
-        Radial distortion, without unit.
+        Radial distortion, dimensionless.
     """
 
     fx: float
@@ -285,7 +285,7 @@ class LensParameters(_Table, kw_only=True, frozen=True):
 
 
 class CameraTable(_Table, kw_only=True, frozen=True):
-    """What a view's camera is asked for; what is left out stays as it is.
+    """Requested settings of a view's camera; omitted ones are left unchanged.
 
     Attributes
     ----------
@@ -294,12 +294,12 @@ class CameraTable(_Table, kw_only=True, frozen=True):
     fps
         Frames a second, 0.1 to 10000.
     fourcc
-        How it sends pixels, in four letters, such as "MJPG" and "YUYV"; on a pipe, how its raw
-        frames lie, such as "BGR3" and "YU12".
+        Pixel format in four letters, such as "MJPG" and "YUYV"; on a pipe, the layout of the raw
+        frames, such as "BGR3" and "YU12".
     exposure, gain, focus
-        Held still at this value of the driver's own.
+        Held constant at this value, in the driver's own unit.
     white_balance_k
-        Held still at this colour temperature in K.
+        Held constant at this colour temperature in K.
     """
 
     width: int | None = None
@@ -322,12 +322,12 @@ class CameraTable(_Table, kw_only=True, frozen=True):
             )
 
     def settings(self) -> CameraSettings:
-        """Return them as `fingerpost.capture.open_source` takes them."""
+        """Return the settings for `fingerpost.capture.open_source`."""
         return CameraSettings(**msgspec.structs.asdict(self))
 
 
 class Start(_Table, kw_only=True, frozen=True):
-    """Where in the image the template waits for the hand.
+    """Start pose of the template in the image, where it waits for the hand.
 
     Attributes
     ----------
@@ -354,38 +354,38 @@ class Start(_Table, kw_only=True, frozen=True):
 
 
 class View(_Table, kw_only=True, frozen=True):
-    """One camera's image stream, and what is known about it.
+    """One camera's image stream and its properties.
 
     Attributes
     ----------
     name
-        What the view is called in files and messages; unique within the rig.
+        Name of the view in files and messages; unique within the rig.
     source
-        What `fingerpost.capture.open_source` opens; None where a program pushes the images.
+        Source for `fingerpost.capture.open_source`; None if a program pushes the images.
     reference_points_px
         The reference points (u, v) in this view's image, in px: one per point of the plane, in
-        its order. They may lie outside the image. None where the reference is to be found.
+        its order. They may lie outside the image. None if the reference is to be found.
     size_px
         Width and height of the images in which pixels of this table were measured: images of
         another size are refused. None if unknown.
     offset_s
-        What is added to this view's capture times, in s, at most an hour either way: for clocks
-        that do not agree, and recordings that were not begun at once.
+        Added to this view's capture times, in s, at most an hour either way: for clocks that
+        differ, and recordings that were not begun at the same time.
     reference_covariances_px2
         Covariance (uu, uv, vv) of each reference point in px², uu and vv from 1e-12 to 1e12; None
-        if unknown, and whoever uses the rig has to assume one.
+        if unknown: then the user of the rig has to assume one.
     reference
         How the reference points are found and followed.
     camera
-        What the camera is asked for when it is opened, or how the raw frames on a pipe lie.
+        Settings requested when the camera is opened, or the layout of the raw frames on a pipe.
     rotate_deg, mirror, crop
-        How its pictures are turned before anything else looks at them: `rotate_deg` (0, 90, 180 or
-        270) clockwise, then left and right exchanged, then the part (x, y, width, height) in px
-        kept. All pixels of this table are those of the result.
+        Transformation of its images before any processing: a rotation by `rotate_deg` (0, 90, 180
+        or 270) clockwise, then an exchange of left and right, then a crop to (x, y, width, height)
+        in px. All pixels of this table are those of the result.
     lens_parameters
         The key `lens`: the view's lens, if known.
     start
-        Where a template waits for the hand, if one does; a hand elsewhere is found all the same.
+        Where a template waits for the hand, if given; a hand elsewhere is found as well.
     """
 
     name: str
@@ -413,7 +413,7 @@ class View(_Table, kw_only=True, frozen=True):
             )
         if self.reference_points_px or isinstance(self.reference, FixedReference):
             self._refuse_no_points()
-        self.arrangement  # noqa: B018 - refuses what is none
+        self.arrangement  # noqa: B018 - refuses an invalid one
         in_range(self.offset_s, "offset_s", -_LARGEST_OFFSET_S, _LARGEST_OFFSET_S)
         if self.size_px is not None and not 1 <= min(self.size_px) <= max(self.size_px) < 2**31:
             raise InvalidInputError(
@@ -426,25 +426,25 @@ class View(_Table, kw_only=True, frozen=True):
     def from_homography(
         cls, name: str, image_from_plane: ArrayLike, plane: Plane, **others: Any
     ) -> Self:
-        """Make a view of which the homography is known, instead of its reference points.
+        """Make a view from its homography instead of its reference points.
 
         Parameters
         ----------
         name
-            What the view is called.
+            Name of the view.
         image_from_plane : (3, 3)
             From points (X, Y, 1) of the plane to pixels (u, v, 1), up to scale; with a lens, into
             the pixels of its ideal pinhole.
         plane
-            The rig's: where its points are seen takes the homography's place, exactly.
+            The rig's plane: the images of its points represent the homography exactly.
         **others
-            The view's other attributes. `reference_covariances_px2` says how well the homography
-            is known.
+            The view's other attributes. `reference_covariances_px2` represents the uncertainty of
+            the homography.
 
         Raises
         ------
         InvalidInputError
-            No finite 3 × 3 matrix, or one that puts points of the plane on its horizon or beyond.
+            Not a finite 3 × 3 matrix, or one with points of the plane on or beyond its horizon.
         """
         T = finite_array(image_from_plane, "image_from_plane", (3, 3))
         depths = np.column_stack([plane.points, np.ones(len(plane.points))]) @ T[2]
@@ -476,7 +476,7 @@ class View(_Table, kw_only=True, frozen=True):
             )
         uu, uv, vv = finite_array(covariances_px2, name, ("N", 3)).T
         least, most = _VARIANCES_PX2
-        with np.errstate(over="ignore"):  # what overflows is out of range
+        with np.errstate(over="ignore"):  # an overflow is out of range
             known = (np.minimum(uu, vv) >= least) & (np.maximum(uu, vv) <= most)
             wrong = np.flatnonzero(~(known & (uu * vv > uv * uv)))
         if len(wrong):
@@ -491,7 +491,7 @@ class View(_Table, kw_only=True, frozen=True):
         Parameters
         ----------
         otherwise_sigma_px
-            Standard deviation that stands in where the rig gives none, in px, > 0.
+            Standard deviation to assume if the rig gives none, in px, > 0.
 
         Returns
         -------
@@ -503,14 +503,14 @@ class View(_Table, kw_only=True, frozen=True):
         return np.array([[[uu, uv], [uv, vv]] for uu, uv, vv in self.reference_covariances_px2])
 
     def recorded_as(self, source: str) -> Self:
-        """Return the same view of a recording, whose frames are turned and timed already."""
+        """Return this view for a recording, whose frames are already transformed and retimed."""
         return msgspec.structs.replace(
             self, source=source, offset_s=0.0, camera=None, rotate_deg=0, mirror=False, crop=None
         )
 
     @property
     def arrangement(self) -> Arrangement:
-        """How its pictures are turned."""
+        """Transformation of its images."""
         return Arrangement(self.rotate_deg, self.mirror, self.crop)
 
     @property
@@ -525,16 +525,16 @@ class TargetTable(_Table, kw_only=True, frozen=True):
     Attributes
     ----------
     name
-        What it is called; unique within the rig.
+        Its name; unique within the rig.
     point
-        Its middle (X, Y), in the plane's unit.
+        Its centre (X, Y), in the plane's unit.
     polygon
         Its corners (X, Y), three or more, in the plane's unit.
     radius
-        How far it reaches about its point, above 0, or beyond its polygon, in the plane's unit.
+        Radius about its point, above 0, or margin around its polygon, in the plane's unit.
     rest
-        Whether it is a place for the hand to rest at: nothing is selected there, and each selection
-        by staying on a target needs the hand to have come from such a place.
+        Whether it is a place for the hand to rest at: nothing is selected there, and before each
+        selection by dwelling the hand must have been at such a place.
     """
 
     name: str
@@ -559,7 +559,7 @@ class TargetTable(_Table, kw_only=True, frozen=True):
         Raises
         ------
         InvalidInputError
-            A radius or a polygon that is none.
+            An invalid radius or polygon.
         """
         corners = (self.point,) if self.polygon is None else self.polygon
         return Target(self.name, np.array(corners, np.float64), self.radius, self.rest)
@@ -574,7 +574,7 @@ class RobotTable(_Table, kw_only=True, frozen=True):
     Attributes
     ----------
     url
-        What `fingerpost.robot.open_robot` opens.
+        URL for `fingerpost.robot.open_robot`.
     height_m
         The plane's Z in the robot's frame, in m.
     region_m
@@ -582,7 +582,8 @@ class RobotTable(_Table, kw_only=True, frozen=True):
     z_m
         The lowest and the highest Z of the safe region, in m; the lower first.
     pitch_deg, roll_deg, yaw_deg
-        How the gripper is held, in degrees; None keeps what is, or what the arm cannot set.
+        Orientation of the gripper, in degrees; None keeps the present one, or one that the arm
+        cannot set.
     """
 
     url: str
@@ -611,7 +612,7 @@ class RobotTable(_Table, kw_only=True, frozen=True):
 
 
 class Rig(_Table, kw_only=True, frozen=True):
-    """Cameras, working plane and start of the template: everything a set-up needs.
+    """Cameras, working plane, and optionally a robot and targets: all parameters of a set-up.
 
     Attributes
     ----------
@@ -627,8 +628,8 @@ class Rig(_Table, kw_only=True, frozen=True):
     Raises
     ------
     InvalidInputError
-        Values that cannot be used, or contradict each other: names that repeat, other than one
-        pixel per reference point, reference points that fix no homography.
+        Values that cannot be used, or contradict each other: repeated names, a number of pixels
+        other than that of the reference points, reference points that determine no homography.
     """
 
     plane: Plane
@@ -655,7 +656,7 @@ class Rig(_Table, kw_only=True, frozen=True):
 
     @property
     def sources(self) -> dict[str, str | int]:
-        """What `fingerpost.capture.open_views` opens, by the view's name, in the views' order.
+        """Sources for `fingerpost.capture.open_views` by view name, in the views' order.
 
         Raises
         ------
@@ -678,7 +679,7 @@ class Rig(_Table, kw_only=True, frozen=True):
 
     @property
     def readings(self) -> tuple[Reading, ...]:
-        """How `fingerpost.capture.open_views` reads each, in the views' order."""
+        """Readings of the sources for `fingerpost.capture.open_views`, in the views' order."""
         return tuple(
             Reading(
                 view.offset_s, view.arrangement, view.camera.settings() if view.camera else None
@@ -724,7 +725,7 @@ class Rig(_Table, kw_only=True, frozen=True):
                 points_px = _undistorted(points_px, view.lens)
             estimate_image_from_plane(self.plane.points, points_px)
         except InvalidInputError as error:
-            # The file's words for what the geometry calls its arguments.
+            # The name of the argument in the rig file.
             message = str(error).replace("image_points_px", "reference_points_px")
             message = message.replace("plane_points", "plane.points")
             raise type(error)(f"view {_shown(view.name)}: {message}") from error
@@ -744,7 +745,7 @@ class Rig(_Table, kw_only=True, frozen=True):
             The file cannot be read or used. The message is one line: the file, the key's path,
             its value, and what would be right.
         SourceError
-            The recording cannot be read, or is none of fingerpost's.
+            The recording cannot be read, or was not made by fingerpost.
         MissingExtraError
             Recordings need the extra `mcap`.
         """
@@ -769,10 +770,10 @@ class Rig(_Table, kw_only=True, frozen=True):
 
     @classmethod
     def load_cameras(cls, path: str | Path) -> Self:
-        """Read a rig file whose plane is still to be defined, as `load` reads a complete one.
+        """Read a rig file whose plane is not yet defined; otherwise like `load`.
 
-        [plane] may be left out, and every view's reference_points_px with it; the unit square
-        stands in for them, under the unit "undefined".
+        [plane] and every view's reference_points_px may be omitted; the unit square replaces them,
+        with the unit "undefined".
 
         Raises
         ------
@@ -830,17 +831,17 @@ class Rig(_Table, kw_only=True, frozen=True):
         part = part_of(path)
         try:
             part.write_text(text, encoding="utf-8")
-            part.replace(path)  # at no moment is the old rig gone and the new one not there
+            part.replace(path)  # atomic: at any moment either the old rig or the new one exists
         except OSError as error:
             raise RigError(f"{path}: cannot be written: {error.strerror}") from error
         except UnicodeEncodeError as error:
             raise RigError(f"{path}: cannot be written: a source is no text in UTF-8") from error
         finally:
             with contextlib.suppress(OSError):
-                part.unlink()  # what could not be written in full
+                part.unlink()  # an incomplete file
 
     def dumps(self) -> str:
-        """Return the rig as TOML, with its sources as they are."""
+        """Return the rig as TOML, with unchanged sources."""
         tables = msgspec.to_builtins(self)
         blocks = ["[plane]", *_lines(tables["plane"])]
         if "robot" in tables:
@@ -875,9 +876,9 @@ _REFERENCES: dict[object, type[_Table]] = {
 
 
 def _complete(tables: dict[str, Any]) -> None:
-    """Fill in what follows from a rectangle: the plane's points, and a unit if none is given.
+    """Derive the plane's points, and a unit if none is given, from a rectangle.
 
-    What is no table, or has values that cannot be used, is left for others to refuse.
+    Entries that are not tables, or have unusable values, are left to later checks.
     """
     views = tables.get("view")
     for view in views if isinstance(views, list) else ():
@@ -903,7 +904,7 @@ def rig_tables() -> dict[str, type[msgspec.Struct]]:
 
 
 def part_of(path: Path) -> Path:
-    """Return the name under which `Rig.save` writes first: one that no other program uses."""
+    """Return the unique temporary name under which `Rig.save` writes first."""
     return path.with_name(f"{path.name}.{os.getpid()}.part")
 
 
@@ -943,12 +944,12 @@ def _toml(value: object) -> str:
         return f"{{ {', '.join(_lines(value))} }}"
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(map(_toml, value))}]"
-    # JSON writes numbers and text as TOML does, but for one control character that it leaves bare.
+    # JSON writes numbers and text as TOML does, except for one control character, left unescaped.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _plain(value: object) -> object:
-    """Return the lists and numbers of Python that arrays and numbers of NumPy stand for."""
+    """Convert arrays and numbers of NumPy to lists and numbers of Python."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return [_plain(entry) for entry in value] if isinstance(value, list | tuple) else value
@@ -966,7 +967,7 @@ def _shown(value: object) -> str:
 
 
 def _explained(error: msgspec.ValidationError, tables: dict[str, object]) -> str:
-    """Say in the words of the rig file what msgspec found wrong with its tables."""
+    """Reword an error of msgspec in the terms of the rig file."""
     message, _, path = str(error).removesuffix("`").partition(" - at `$.")
     if isinstance(error.__cause__, InvalidInputError):
         return f"{path}: {message}" if path else message

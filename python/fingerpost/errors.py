@@ -1,8 +1,8 @@
 """One tree of exceptions for the whole package.
 
-Every error that fingerpost raises on purpose is a `FingerpostError`; where a built-in fits as
-well (`ValueError`, `OSError`, `ImportError`), the class is that too. A lost hand is not an error
-but a status (`fingerpost.pointing.Status`).
+Every error that fingerpost raises on purpose is a `FingerpostError`; where a built-in class
+applies as well (`ValueError`, `OSError`, `ImportError`), the class derives from both. A lost hand
+is not an error but a status (`fingerpost.pointing.Status`).
 """
 
 
@@ -11,11 +11,11 @@ class FingerpostError(Exception):
 
 
 class InvalidInputError(FingerpostError, ValueError):
-    """A value given by the caller cannot be used; the message names it and says what would be."""
+    """A value given by the caller cannot be used; the message names it and a usable one."""
 
 
 class DegenerateReferencePointsError(InvalidInputError):
-    """Reference points that fix no homography: collinear, repeated or not finite."""
+    """Reference points that determine no homography: collinear, repeated or not finite."""
 
 
 class RigError(InvalidInputError):
@@ -31,7 +31,7 @@ class SourceError(CaptureError, InvalidInputError):
 
 
 class RecordingError(FingerpostError, OSError):
-    """A table, a picture or a video cannot be written any further: a full disk, a lost drive."""
+    """Writing a table, a picture or a video failed: a full disk, a lost drive."""
 
 
 class MissingExtraError(FingerpostError, ImportError):

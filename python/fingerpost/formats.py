@@ -1,4 +1,4 @@
-"""Rectangles that people have at hand, by name, and the units that planes are measured in."""
+"""Common rectangles by name, and the units of planes."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ SIZES_MM = {
     "letter": (215.9, 279.4),
     "credit-card": (85.6, 53.98),
 }
-"""Width and height of sheets as one reads them, and of cards (ISO 216, ANSI Y14.1, ISO 7810)."""
+"""Width and height of upright sheets and of cards (ISO 216, ANSI Y14.1, ISO 7810) [mm]."""
 
 UNITS_MM = {"µm": 1e-3, "mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
-"""Names of plane units whose length is known [mm]."""
+"""Plane units of known length, by name [mm]."""
 
 NAMES = '"A4", "letter", "A3", "credit-card" or [w, h] in the plane\'s unit'
 
@@ -29,7 +29,7 @@ def sides_of(size: Size, unit: str) -> tuple[float, float]:
     Parameters
     ----------
     size
-        One of the names of `SIZES_MM`, in capitals or not; or the sides themselves, in the unit.
+        A name in `SIZES_MM`, in upper or lower case; or the sides themselves, in the unit.
     unit
         Name of the plane's unit; a name of a size needs one of `UNITS_MM`.
 
@@ -54,6 +54,6 @@ def sides_of(size: Size, unit: str) -> tuple[float, float]:
 
 
 def corners_of(sides: tuple[float, float]) -> Corners:
-    """Return the corners of a rectangle: its first one is the plane's origin, then along X."""
+    """Return the corners of a rectangle: the plane's origin first, then along X."""
     width, height = sides
     return ((0.0, 0.0), (width, 0.0), (width, height), (0.0, height))

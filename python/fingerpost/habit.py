@@ -1,19 +1,19 @@
-"""A person's own habit of pointing: by how much, and where, it misses what is meant.
+"""A person's habit of pointing: the systematic error between indicated and intended points.
 
-People point along eye and fingertip, not along the finger, and so by some centimetres beside their
-target, each in a way of his own that he repeats. Indicated points of known targets show it: the
-error ``e = p − t`` of an indicated point p of target t is a polynomial of p with the scatter of a
-hand on it,
+People point along the line from eye to fingertip, not along the finger. Their indicated points
+therefore miss the target by some centimetres, with an error that is repeatable for each person. It
+is estimated from indicated points of known targets: the error ``e = p − t`` of an indicated point p
+of target t is a polynomial of p plus the scatter r of the hand,
 
     e = Bᵀ φ(p) + r,    φ = 1 (offset), (1, x, y) (affine), (1, x, y, x², xy, y²) (quadratic),
 
-fitted by least squares; ``p − Bᵀ φ(p)`` is what is meant. The model is chosen by leave-one-out
+fitted by least squares; ``p − Bᵀ φ(p)`` is the intended point. The model is chosen by leave-one-out
 cross-validation over the targets (M. Stone, "Cross-validatory choice and assessment of statistical
-predictions", JRSS B 36, 1974). The covariance counts the scatter, how well it is known, and how
-well B is (G. A. F. Seber, A. J. Lee, *Linear Regression Analysis*, 2nd ed., section 5.3).
+predictions", JRSS B 36, 1974). The covariance includes the scatter, its own uncertainty, and that
+of B (G. A. F. Seber, A. J. Lee, *Linear Regression Analysis*, 2nd ed., section 5.3).
 
-Beyond the hull of the points at calibration no polynomial holds: there the correction is that of
-the hull's nearest point, and its standard deviation grows with the distance.
+The polynomial is not extrapolated: outside the hull of the points at calibration, the correction is
+that of the hull's nearest point, and its standard deviation grows with the distance.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ MIN_TARGETS = 5
 for the scatter, and an affine habit 4."""
 
 CONFIDENCE = 0.95
-"""The ellipse that holds what it says, however few the targets; see `_widening`."""
+"""Confidence at which the ellipse has its nominal coverage for any number of targets; see
+`_widening`."""
 
 STANDARD_ERRORS = 1.5
-"""By so many standard errors a richer model must be better. Of people whose habit is an offset and
-whose scatter is a third of it, 9 % are given another model from five targets at 1, 6 % at 1.5, 3 %
-at 2; of those whose habit varies by a tenth of the way, an affine one is missed from nine targets
-for 21 %, 28 % and 41 %."""
+"""Least advantage of a richer model [standard errors]. If the habit is an offset and its scatter a
+third of it, five targets select another model in 9 % of cases at 1, in 6 % at 1.5, in 3 % at 2; if
+it varies by a tenth of the distance, nine targets miss the affine model in 21 %, 28 % and 41 %."""
 
 
 class HabitModel(StrEnum):
-    """How a habit goes with the place that is pointed at."""
+    """Dependence of a habit on the place that is pointed at."""
 
     OFFSET = "offset"
     AFFINE = "affine"
@@ -58,7 +58,7 @@ _TERMS = {HabitModel.OFFSET: 1, HabitModel.AFFINE: 3, HabitModel.QUADRATIC: 6}
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Meant:
-    """What is meant by an indicated point.
+    """The intended point for an indicated one.
 
     Attributes
     ----------
@@ -67,7 +67,8 @@ class Meant:
     covariance : (2, 2)
         [plane units²]
     beyond
-        How far the indicated point lies outside of those at calibration [plane units]; else 0.
+        Distance of the indicated point from the hull of those at calibration [plane units]; 0
+        inside.
     """
 
     point: Array
@@ -82,18 +83,17 @@ class Habit:
     Attributes
     ----------
     targets : (N, 2)
-        What was pointed at [plane units].
+        Targets [plane units].
     points : (N, 2)
-        What was indicated [plane units].
+        Points indicated for them [plane units].
     model
-        How the habit goes with the place.
+        Dependence of the habit on the place.
     left_out
-        Root mean square error [plane units] with which each model predicts a target that it was not
-        fitted to; of those models for which there are targets enough.
+        Root mean square leave-one-out error of each model with enough targets [plane units].
     coefficients : (M, 2)
-        B, of the terms of `model` in points that are centred and scaled.
+        B, for the terms of `model` in centred and scaled points.
     scatter
-        Standard deviation of the residuals, of either coordinate [plane units].
+        Standard deviation of the residuals in each coordinate [plane units].
     """
 
     targets: Array
@@ -113,15 +113,15 @@ class Habit:
         Parameters
         ----------
         targets : (N, 2)
-            What was pointed at [plane units], `MIN_TARGETS` different ones or more.
+            At least `MIN_TARGETS` different targets [plane units].
         points : (N, 2)
-            What was indicated, in the same order.
+            Points indicated for them, in the same order.
 
         Raises
         ------
         InvalidInputError
-            Wrong shapes, NaN, too few targets, targets on a line, or points that do not go with
-            the targets: their error varies by half as much as the targets do.
+            Wrong shapes, NaN, too few targets, targets on a line, or points that do not match the
+            targets: their error varies at least half as much as the targets do.
         """
         targets = finite_array(targets, "targets", ("N", 2))
         points = finite_array(points, "points", ("N", 2))
@@ -134,8 +134,8 @@ class Habit:
         freedom = errors.size - B.size
         scatter = math.sqrt(float(np.sum((errors - Φ @ B) ** 2)) / freedom)
         variance = _widening(freedom) * scatter**2
-        # Nothing measures how a habit goes on beyond the targets: as far off as they spread, it may
-        # be another one, as large.
+        # The habit beyond the targets is not measured: at a distance equal to their spread, its
+        # standard deviation is taken to be as large as the habit itself.
         usual = math.sqrt(float(np.mean(np.sum(errors**2, axis=1))))
         return cls(
             targets,
@@ -150,7 +150,7 @@ class Habit:
         )
 
     def error(self, points: ArrayLike) -> Array:
-        """Predict by how much a person's points miss what he means.
+        """Predict the error of a person's indicated points.
 
         Parameters
         ----------
@@ -160,27 +160,27 @@ class Habit:
         Returns
         -------
         (K, 2)
-            To be subtracted from the points [plane units]; outside the hull, that of its nearest
-            point.
+            To be subtracted from the points [plane units]; outside the hull, the error at its
+            nearest point.
         """
         points = finite_array(points, "points", ("K", 2))
         nearest = np.array([_nearest(self._hull, point)[0] for point in points]).reshape(-1, 2)
         return _terms(self.model, _scaled(nearest, self.points)) @ self.coefficients
 
     def meant(self, point: ArrayLike, covariance: ArrayLike) -> Meant:
-        """Estimate what a person means by an indicated point.
+        """Estimate the intended point for an indicated one.
 
         Parameters
         ----------
         point : (2,)
             The indicated point [plane units].
         covariance : (2, 2)
-            Of it [plane units²].
+            Its covariance [plane units²].
 
         Raises
         ------
         InvalidInputError
-            Wrong shapes, NaN, or a matrix that is no covariance.
+            Wrong shapes, NaN, or a matrix that is not a covariance.
         """
         p = finite_array(point, "point", (2,))
         Σ_p = covariance_array(covariance, "covariance", (2, 2))
@@ -190,8 +190,8 @@ class Habit:
         φ = _terms(self.model, z)[0]
         by_z = _terms_jacobian(self.model, z[0]) / _spread(self.points)
         J = np.eye(2) - self.coefficients.T @ by_z @ by_point
-        # The scatter at calibration contains the noise of those points, which is not subtracted:
-        # how much of it all frames of a visit had in common is not known.
+        # The scatter at calibration contains the noise of those points. It is not subtracted: the
+        # part that all frames of a visit share is unknown.
         own = self._scatter_variance + φ @ self._terms_covariance @ φ + (self._rate * beyond) ** 2
         Σ = J @ Σ_p @ J.T + own * np.eye(2)
         return Meant(p - φ @ self.coefficients, (Σ + Σ.T) / 2.0, beyond)
@@ -202,18 +202,18 @@ class Habit:
 
 
 def _widening(freedom: int) -> float:
-    """Give the factor of a variance that is itself estimated, with so many degrees of freedom.
+    """Return the inflation factor of a variance that is estimated with ν degrees of freedom.
 
-    The squared distance of a point, over an estimated variance, is 2 F(2, ν), not χ²(2): the factor
-    is the quotient of both at `CONFIDENCE`, and 1 for ν → ∞. F(2, ν) has its quantiles in closed
-    form, ``(ν/2) ((1 − q)^(−2/ν) − 1)``.
+    The squared distance of a point over an estimated variance is distributed as 2 F(2, ν), not
+    χ²(2): the factor is the quotient of their quantiles at `CONFIDENCE`, and 1 for ν → ∞. F(2, ν)
+    has closed-form quantiles, ``(ν/2) ((1 − q)^(−2/ν) − 1)``.
     """
     outside = 1.0 - CONFIDENCE
     return freedom * (math.pow(outside, -2.0 / freedom) - 1.0) / (-2.0 * math.log(outside))
 
 
 def _refuse_unfit(targets: Array, points: Array) -> None:
-    """Refuse what no habit can be estimated from.
+    """Refuse targets and points from which no habit can be estimated.
 
     Raises
     ------
@@ -249,20 +249,20 @@ def _scaled(points: Array, among: Array) -> Array:
 
 
 def _terms(model: HabitModel, z: Array) -> Array:
-    """Give φ at points (K, 2) that are centred and scaled: (K, M)."""
+    """Return φ at centred and scaled points (K, 2): (K, M)."""
     x, y = z.T
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)[:, : _TERMS[model]]
 
 
 def _terms_jacobian(model: HabitModel, z: Array) -> Array:
-    """Give ∂φ/∂z at one point: (M, 2)."""
+    """Return ∂φ/∂z at one point: (M, 2)."""
     x, y = z.tolist()
     by_z = np.array([[0, 0], [1, 0], [0, 1], [2 * x, 0], [y, x], [0, 2 * y]], np.float64)
     return by_z[: _TERMS[model]]
 
 
 def _left_out(model: HabitModel, targets: Array, points: Array) -> Array | None:
-    """Give the squared error of each target as the others predict it; None with too few of them."""
+    """Return the squared leave-one-out error of each target; None with too few targets."""
     _, group = np.unique(targets, axis=0, return_inverse=True)
     group, count = group.ravel(), int(group.max()) + 1
     if count - 1 <= _TERMS[model]:
@@ -281,7 +281,7 @@ def _left_out(model: HabitModel, targets: Array, points: Array) -> Array | None:
 def _chosen(left_out: Mapping[HabitModel, Array | None]) -> HabitModel:
     """Choose the simplest model that no richer one beats by `STANDARD_ERRORS`."""
     chosen, best = HabitModel.OFFSET, left_out[HabitModel.OFFSET]
-    assert best is not None  # there are targets enough
+    assert best is not None  # there are enough targets
     for model, squares in left_out.items():
         if squares is None:
             continue
@@ -296,7 +296,7 @@ def _root_mean(squares: Array) -> float:
 
 
 def _hull(points: Array) -> list[int]:
-    """Give the corners of the convex hull, in order: A. M. Andrew's monotone chain (1979)."""
+    """Return the indices of the convex hull, in order: A. M. Andrew's monotone chain (1979)."""
     order = np.lexsort(points.T[::-1]).tolist()
 
     def chain(ranked: list[int]) -> list[int]:
@@ -311,13 +311,13 @@ def _hull(points: Array) -> list[int]:
 
 
 def _turn(a: Array, b: Array, c: Array) -> float:
-    """Above 0 where a, b, c turn from +x towards +y."""
+    """Return a number above 0 if a, b, c turn from +x towards +y."""
     (ux, uy), (vx, vy) = (b - a).tolist(), (c - a).tolist()
     return float(ux * vy - uy * vx)
 
 
 def _nearest(corners: Array, point: Array) -> tuple[Array, Array]:
-    """Give the nearest point of a convex polygon, and its derivative by the point (2, 2)."""
+    """Return the nearest point of a convex polygon and its derivative by the point (2, 2)."""
     along = np.roll(corners, -1, axis=0) - corners
     away = point - corners
     if (along[:, 0] * away[:, 1] - along[:, 1] * away[:, 0] >= 0.0).all():

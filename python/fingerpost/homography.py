@@ -2,15 +2,15 @@
 
 Paper: Cipolla, Hadfield & Hollinghurst 1994, eq. 1: ``(su, sv, s) = T (X, Y, 1)``. ``T`` is called
 `image_from_plane` here; it is estimated from four or more reference points by the normalised DLT
-(Hartley 1997) and polished by Gauss-Newton on the image error, which for four points only removes
-rounding.
+(Hartley 1997) and refined by Gauss-Newton on the image error, which for four points only removes
+rounding errors.
 
 **Scale and sign.** The paper fixes ``t33 = 1``. ``t33`` is the value of ``s`` (called ``W`` here)
-at the plane's origin, and nothing keeps that in front of the camera: a robot's base, the origin of
-its coordinates, may lie on the view's horizon (``t33 = 0``) or beyond it (``t33 < 0``). Here
-``W = 1`` at the centroid of the reference points, which is in front because they are. So ``W > 0``
-at every point of the plane that the view can see, ``W = 0`` on its horizon and ``W < 0`` behind the
-camera, where eq. 1 still yields pixels, but nothing is seen there.
+at the plane's origin, which need not be in front of the camera: a robot's base, the origin of its
+coordinates, may lie on the view's horizon (``t33 = 0``) or beyond it (``t33 < 0``). Here ``W = 1``
+at the centroid of the reference points, which is in front of the camera because they are. So
+``W > 0`` at every visible point of the plane, ``W = 0`` on the horizon and ``W < 0`` behind the
+camera, where eq. 1 still yields pixels although nothing is visible.
 """
 
 import numpy as np
@@ -22,20 +22,20 @@ from fingerpost.errors import DegenerateReferencePointsError, InvalidInputError
 MIN_REFERENCE_POINTS = 4
 
 # Points closer to each other, or to one line, than this share of the set's diameter are refused.
-# It only has to tell rounding from geometry (coordinates typed to six digits are this exact): a set
-# that is poor but not degenerate shows itself by its covariance.
+# The threshold only separates rounding from geometry (coordinates typed to six digits are this
+# exact): the covariance reveals a set that is poor but not degenerate.
 DEGENERATE_SHARE = 1e-6
 
-# Sets whose diameter lies outside these bounds are refused, whatever their unit: fourth powers of
-# lengths must stay far from where floats end.
+# Sets whose diameter lies outside these bounds are refused in any unit: fourth powers of lengths
+# must neither overflow nor underflow.
 SPREADS = (1e-30, 1e30)
 
 # A homography that misses its own reference points by more than this share of their spread (both
-# root mean squares) belongs to other points: noise and lenses stay below a few per cent, two
-# points in the wrong order exceed it.
+# root mean squares) is refused: noise and lenses cause a few per cent at most, two points in the
+# wrong order exceed it.
 MAX_MISFIT_SHARE = 0.1
 
-# Gauss-Newton from the DLT is at rounding after three to five steps.
+# Gauss-Newton from the DLT converges to rounding in three to five steps.
 _MAX_ITERATIONS = 20
 _CONVERGED_STEP = 1e-13
 
@@ -45,7 +45,7 @@ def estimate_image_from_plane(
     image_points_px: ArrayLike,
     covariances_px2: ArrayLike | None = None,
 ) -> NDArray[np.float64]:
-    """Homography from reference points, exact for four and least squares for more.
+    """Estimate a homography from reference points: exact for four, least squares for more.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def estimate_image_from_plane(
         Their images in the same order; may lie outside the image.
     covariances_px2 : (2, 2) or (N, 2, 2), optional
         Covariance of each image point [px²], positive definite: least squares is weighted by their
-        inverses. Only their ratios matter; without them all points count alike.
+        inverses. Only their ratios matter; without them all points have equal weight.
 
     Returns
     -------
@@ -65,10 +65,10 @@ def estimate_image_from_plane(
     Raises
     ------
     DegenerateReferencePointsError
-        Points that spread over less or more than `SPREADS`, repeated points, all points but
-        one on a line (three of four; on the plane or in the
-        image), points seen on both sides of the horizon, points that no homography fits: the
-        latter two mean that image points are not in the order of the plane points.
+        A diameter outside `SPREADS`, repeated points, all points but one on a line (three of four;
+        on the plane or in the image), points on both sides of the horizon, points that no
+        homography fits: the latter two mean that image points are not in the order of the plane
+        points.
     InvalidInputError
         Fewer than four points, different numbers, NaN, a covariance that is not positive definite.
     """
@@ -108,9 +108,9 @@ def entries_from_reference_points(
 ) -> NDArray[np.float64]:
     """Differentiate the estimated homography's entries by the image reference points.
 
-    The nine entries have eight degrees of freedom. The gauge is the one in which the system is well
-    conditioned: in coordinates normalised on the plane and in the image, the entries move at a
-    right angle to themselves.
+    The nine entries have eight degrees of freedom. The gauge is chosen for a well-conditioned
+    system: in coordinates normalised on the plane and in the image, the change of the entries is
+    orthogonal to the entries.
 
     Parameters
     ----------
@@ -137,14 +137,14 @@ def entries_from_reference_points(
         _apply(normalised_from_plane, plane),
         whitening,
     )
-    # In given coordinates: every column of the gain, a change of T, between the two similarities.
+    # Back to given coordinates: each column of the gain is a change of T; apply both similarities.
     changes = gain.T.reshape(-1, 3, 3)
     changes = np.linalg.inv(normalised_from_image) @ changes @ normalised_from_plane
     return np.asarray(changes.reshape(-1, 9).T * normalised_from_image[0, 0])
 
 
 def transfer_to_image(image_from_plane: ArrayLike, plane_points: ArrayLike) -> NDArray[np.float64]:
-    """Images of points of the plane: eq. 1 of the paper.
+    """Map points of the plane to the image: eq. 1 of the paper.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def transfer_to_image(image_from_plane: ArrayLike, plane_points: ArrayLike) -> N
     Returns
     -------
     (..., 2)
-        Pixels; NaN where ``W ≤ 0``: the view cannot see the point, on or behind its horizon.
+        Pixels; NaN where ``W ≤ 0``: on or beyond the horizon, a point is not visible.
     """
     T = finite_array(image_from_plane, "image_from_plane", (..., 3, 3))
     plane_points = finite_array(plane_points, "plane_points", (..., 2))
@@ -165,7 +165,7 @@ def transfer_to_image(image_from_plane: ArrayLike, plane_points: ArrayLike) -> N
 def transfer_to_plane(
     image_from_plane: ArrayLike, image_points_px: ArrayLike
 ) -> NDArray[np.float64]:
-    """Points of the plane seen at pixels: the inverse of eq. 1.
+    """Map pixels to points of the plane: the inverse of eq. 1.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def transfer_to_plane(
     Returns
     -------
     (..., 2)
-        Plane units; NaN on or above the view's horizon, where there is no plane to be seen.
+        Plane units; NaN on or above the view's horizon, where the plane is not visible.
 
     Raises
     ------
@@ -238,12 +238,12 @@ def transfer_jacobian_by_point(
 
 
 def normalising_similarity(points: ArrayLike) -> NDArray[np.float64]:
-    """Similarity that brings points to centroid 0 and mean distance √2 (Hartley 1997).
+    """Return the similarity that maps points to centroid 0 and mean distance √2 (Hartley 1997).
 
     Parameters
     ----------
     points : (N, 2)
-        Not all the same.
+        Not all equal.
 
     Returns
     -------
@@ -259,7 +259,7 @@ def normalising_similarity(points: ArrayLike) -> NDArray[np.float64]:
 
 
 def _multiply(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Homogeneous images ``y = matrix·(x, y, 1)``, (..., 3)."""
+    """Return homogeneous images ``y = matrix·(x, y, 1)``, (..., 3)."""
     y = matrix[..., 0] * points[..., :1]
     y += matrix[..., 1] * points[..., 1:]
     y += matrix[..., 2]
@@ -289,7 +289,7 @@ def _jacobian_by_entries(
 
 
 def _direct_linear_transform(X: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Minimiser of ``‖A t‖``, ``‖t‖ = 1``, of the equations ``x × (T X~) = 0``."""
+    """Minimise ``‖A t‖`` with ``‖t‖ = 1`` for the equations ``x × (T X~) = 0``."""
     X = np.column_stack([X, np.ones(len(X))])
     zero = np.zeros_like(X)
     A = np.concatenate(
@@ -301,24 +301,24 @@ def _direct_linear_transform(X: NDArray[np.float64], x: NDArray[np.float64]) -> 
 def _gauss_newton_gain(
     T: NDArray[np.float64], X: NDArray[np.float64], whitening: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
-    """Weighted least-squares answer of the entries to the image points, (9, 2N).
+    """Return the weighted least-squares gain from image residuals to the entries, (9, 2N).
 
-    Both the Gauss-Newton step (times the residuals) and, at the solution, the derivative of the
-    estimate. The last equation keeps the step at a right angle to ``T``, whose scale the points
-    leave free.
+    Its product with the residuals is the Gauss-Newton step; at the solution, it is the derivative
+    of the estimate. The last equation keeps the step orthogonal to ``T``, because the points do not
+    determine the scale.
     """
     jacobian = _jacobian_by_entries(T, X)
     if whitening is not None:
         jacobian = whitening @ jacobian
     Q, R = np.linalg.qr(np.concatenate([jacobian.reshape(-1, 9), T.reshape(1, 9)]))
-    answer = np.linalg.solve(R, Q[:-1].T)
+    gain = np.linalg.solve(R, Q[:-1].T)
     if whitening is not None:
-        answer = (answer.reshape(9, -1, 1, 2) @ whitening).reshape(9, -1)
-    return np.asarray(answer)
+        gain = (gain.reshape(9, -1, 1, 2) @ whitening).reshape(9, -1)
+    return np.asarray(gain)
 
 
 def _whitening(covariances_px2: ArrayLike | None, count: int) -> NDArray[np.float64] | None:
-    """``L⁻¹`` of every covariance ``L Lᵀ``, (N, 2, 2); None when all points count alike."""
+    """Return ``L⁻¹`` of every covariance ``L Lᵀ``, (N, 2, 2); None for points of equal weight."""
     if covariances_px2 is None:
         return None
     covariances = covariance_array(covariances_px2, "covariances_px2", (..., 2, 2))
@@ -337,7 +337,7 @@ def _whitening(covariances_px2: ArrayLike | None, count: int) -> NDArray[np.floa
 
 
 def _facing(T: NDArray[np.float64], X: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`T` with ``W = 1`` at the origin of normalised coordinates, the points' centroid."""
+    """Scale `T` to ``W = 1`` at the origin of normalised coordinates, the points' centroid."""
     W = _multiply(T, X)[:, 2]
     front = W > 0.0
     if front.all() or not front.any():
@@ -351,7 +351,7 @@ def _facing(T: NDArray[np.float64], X: NDArray[np.float64]) -> NDArray[np.float6
 
 def _refuse_degenerate(points: NDArray[np.float64], name: str) -> None:
     """Raise if points spread out of bounds, coincide, or all but one at most lie on a line."""
-    with np.errstate(over="ignore"):  # what overflows is out of bounds
+    with np.errstate(over="ignore"):  # an overflow is out of bounds
         between = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
     least, most = SPREADS
     spread = float(between.max())
@@ -367,7 +367,7 @@ def _refuse_degenerate(points: NDArray[np.float64], name: str) -> None:
             f"{name}[{i}] and {name}[{j}] are the same point, {_coordinates(points[i])}; "
             "each reference point is to be given once"
         )
-    # Of any three points at least two belong to such a line, so three candidates suffice.
+    # At least two of any three points lie on such a line, so three candidates suffice.
     for i, j in ((0, 1), (0, 2), (1, 2)):
         tangent = (points[j] - points[i]) / between[i, j]
         off_line = np.abs((points - points[i]) @ np.array([-tangent[1], tangent[0]]))
@@ -384,7 +384,7 @@ def _refuse_degenerate(points: NDArray[np.float64], name: str) -> None:
 def _refuse_misfit(
     residuals: NDArray[np.float64], x: NDArray[np.float64], normalised_per_px: float
 ) -> None:
-    """Raise if the fitted homography misses its reference points grossly (or is not finite)."""
+    """Raise if the homography misses its reference points by too much, or is not finite."""
     misfit = np.hypot(*residuals.T)
     if np.sqrt(np.mean(misfit**2)) <= MAX_MISFIT_SHARE * np.sqrt(np.mean((x**2).sum(axis=1))):
         return

@@ -1,9 +1,9 @@
-"""What fingerpost stands on as it is installed, above all OpenCV.
+"""Check of the installed dependencies, above all OpenCV.
 
 OpenCV comes in four packages that write the same folder, `cv2`: with or without windows, each with
-or without its extra modules. `pip` knows nothing of that: it installs one over the other, the last
-one is in use, and to remove any of them removes the folder. fingerpost asks for one without
-windows, which does on every machine, and works with all four.
+or without its extra modules. `pip` does not know this: it installs one over another, the last one
+is in use, and removing any of them removes the folder. fingerpost requires one without windows,
+which works on every machine, and accepts all four.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ OPENCV_PACKAGES = (
     "opencv-contrib-python-headless",
     "opencv-python-headless",
 )
-"""The packages that write `cv2`, the one that holds most first."""
+"""The packages that write `cv2`, the most complete first."""
 
 OPENCV_VERSIONS = ((4, 10), (6, 0))
-"""The oldest version of OpenCV that will do, and the first that is not known to."""
+"""The oldest version of OpenCV that works, and the first that is untested."""
 
 _EXTRAS = {
     "cluster": "distributed",
@@ -48,7 +48,7 @@ _EXTRAS = {
 
 @dataclass(frozen=True, slots=True)
 class OpenCv:
-    """OpenCV as Python finds it.
+    """State of OpenCV as Python imports it.
 
     Attributes
     ----------
@@ -67,16 +67,16 @@ class OpenCv:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Something that is wrong with an installation.
+    """A fault of an installation.
 
     Attributes
     ----------
     severity
-        "error" if nothing can be tracked, else "warning".
+        "error" if tracking is impossible, else "warning".
     what
-        What is wrong.
+        Description of the fault.
     right
-        What to do.
+        Remedy.
     """
 
     severity: str
@@ -89,20 +89,20 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Installation:
-    """What is installed, and what is wrong with it.
+    """Installed software and its faults.
 
     Attributes
     ----------
     versions
-        Of Python, of the system and of the packages that matter, by name.
+        Versions of Python, the system and the relevant packages, by name.
     opencv
-        OpenCV as Python finds it.
+        State of OpenCV.
     extras
-        Optional parts that are there.
+        Installed extras.
     findings
-        What is wrong; empty if nothing is.
+        Faults; empty if there are none.
     surroundings
-        What else was looked at, such as cameras, and what was found, by name.
+        Results of other checks, such as that for cameras, by name.
     """
 
     versions: Mapping[str, str]
@@ -113,7 +113,7 @@ class Installation:
 
     @property
     def serious(self) -> bool:
-        """Whether nothing can be tracked with it."""
+        """Whether tracking is impossible with it."""
         return any(fault.severity == "error" for fault in self.findings)
 
     def table(self) -> list[str]:
@@ -126,17 +126,17 @@ class Installation:
         return [*lines, "", *(map(str, self.findings) if self.findings else ["nothing is wrong"])]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything for programs, fit for JSON."""
+        """Return everything for JSON."""
         return {"serious": self.serious, **asdict(self)}
 
 
 def examine_installation(surroundings: Mapping[str, str] | None = None) -> Installation:
-    """Look at what is installed beside fingerpost, and say what is wrong.
+    """Examine the installed packages, and report faults.
 
     Parameters
     ----------
     surroundings
-        What else was found, by name; it is handed on.
+        Results of other checks, by name; included unchanged.
     """
     versions = installed_versions()
     opencv = _read_opencv()
@@ -146,8 +146,8 @@ def examine_installation(surroundings: Mapping[str, str] | None = None) -> Insta
 
 
 def installed_versions() -> dict[str, str]:
-    """Return the versions of Python, the system and the packages that matter; imports none."""
-    from importlib.metadata import distributions  # takes a while, and few commands need it
+    """Return the versions of Python, the system and relevant packages, without importing any."""
+    from importlib.metadata import distributions  # slow, and needed by few commands
 
     found = {
         name: distribution.version
@@ -155,14 +155,14 @@ def installed_versions() -> dict[str, str]:
         if (name := _normalized(distribution.metadata["Name"] or ""))
         in {"fingerpost", "numpy", *OPENCV_PACKAGES}
     }
-    # Pythons without a global interpreter lock are builds of their own.
+    # Python without a global interpreter lock is a separate build.
     unlocked = "" if getattr(sys, "_is_gil_enabled", lambda: True)() else ", free-threaded"
     python = f"{platform.python_version()} ({platform.python_implementation()}{unlocked})"
     return {"python": python, "system": platform.platform(), **dict(sorted(found.items()))}
 
 
 def installed_extras() -> tuple[str, ...]:
-    """Return the extras of this package that are there; imports none of them."""
+    """Return the installed extras of this package without importing them."""
     return tuple(name for name, module in _EXTRAS.items() if importlib.util.find_spec(module))
 
 
@@ -172,7 +172,7 @@ def need_opencv() -> None:
     Raises
     ------
     FingerpostError
-        It cannot be imported, or is not whole.
+        It cannot be imported, or is incomplete.
     """
     opencv = _read_opencv()
     if opencv.error:
@@ -182,12 +182,12 @@ def need_opencv() -> None:
 
 
 def judge_opencv(opencv: OpenCv, packages: Mapping[str, str]) -> list[Fault]:
-    """Say what is wrong with OpenCV.
+    """Return the faults of OpenCV.
 
     Parameters
     ----------
     opencv
-        As Python finds it.
+        State of OpenCV.
     packages
         Versions of the packages of OpenCV that are installed, by name, in the order of
         `OPENCV_PACKAGES`.
@@ -198,7 +198,7 @@ def judge_opencv(opencv: OpenCv, packages: Mapping[str, str]) -> list[Fault]:
         what = f"OpenCV cannot be used: {opencv.error}"
         if len(packages) == 1:
             what += f", though {shown} is installed"
-        # What shows windows needs libraries of the system, which a server may lack.
+        # The packages with windows need system libraries, which a server may lack.
         needs_system = ".so" in opencv.error
         return [Fault("error", what, f"run {_install({} if needs_system else packages)}")]
     faults = []
@@ -228,7 +228,7 @@ def _judge_several(opencv: OpenCv, packages: Mapping[str, str], shown: str) -> F
 
 
 def _install(packages: Mapping[str, str]) -> str:
-    """Return the command that has the richest of the installed packages write `cv2` once more."""
+    """Return the command by which the most complete installed package writes `cv2` again."""
     name, version = next(iter(packages.items()), ("opencv-python-headless", ""))
     if version and OPENCV_VERSIONS[0] <= _numbers(version) < OPENCV_VERSIONS[1]:
         wanted = f"{name}=={version}"
@@ -248,7 +248,7 @@ def _read_opencv() -> OpenCv:
         build = cv2.getBuildInformation()
     except ImportError as error:
         return OpenCv("", has_windows=False, error=str(error))
-    except AttributeError:  # Python takes any folder of that name for a package
+    except AttributeError:  # Python imports any folder of that name as a package
         return OpenCv("", has_windows=False, error="the folder cv2 is there, but OpenCV is not")
     toolkit = re.search(r"^\s*GUI:\s*(\S+)", build, re.MULTILINE)
     has_windows = toolkit is not None and toolkit[1] != "NONE"
@@ -260,25 +260,25 @@ def _normalized(name: str) -> str:
 
 
 def _numbers(version: str) -> tuple[int, int]:
-    """Return the first two numbers of a version, of which one that is missing is 0."""
+    """Return the first two numbers of a version; a missing one is 0."""
     major, minor, *_ = (*map(int, re.findall(r"\d+", version)), 0, 0)
     return major, minor
 
 
 def require(module: str, extra: str) -> ModuleType:
-    """Import a module that an extra of this package brings.
+    """Import a module that an extra of this package provides.
 
     Parameters
     ----------
     module
-        What to import.
+        Name of the module.
     extra
-        The extra.
+        Name of the extra.
 
     Raises
     ------
     MissingExtraError
-        It is not installed, or cannot be imported; the message says why, and holds the command
+        It is not installed, or cannot be imported; the message contains the reason and the command
         that installs it.
     """
     try:

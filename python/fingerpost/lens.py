@@ -1,14 +1,14 @@
-"""Radial lens distortion, and how to take it out of points and of finger lines.
+"""Radial lens distortion, and its removal from points and finger lines.
 
-A pinhole maps the plane by a homography and lines to lines; a lens does not. Everything measured
-in a view, reference points and finger lines alike, is therefore moved to where a pinhole with the
-same ``fx, fy, cx, cy`` would have seen it, before any geometry begins. Correcting only one of the
-two is no better than correcting nothing: the errors of both cancel in part.
+A pinhole maps the plane by a homography and lines to lines; a lens does not. All measurements in a
+view, both reference points and finger lines, are therefore moved to their images in a pinhole with
+the same ``fx, fy, cx, cy`` before any geometry. Correcting only one of the two is no better than
+correcting neither, because their errors partly cancel.
 
-Model: for the undistorted direction ``m`` with ``r = |m|`` the lens shows
-``m (1 + k1 r² + k2 r⁴)`` (Brown 1971, radial terms, as OpenCV's ``k1, k2``). The map of radii
-``ρ(r) = r (1 + k1 r² + k2 r⁴)`` grows only up to a radius where ``1 + 3 k1 r² + 5 k2 r⁴ = 0``;
-beyond it the model folds back and says nothing about a lens. Points out there are answered by NaN.
+Model: the lens maps an undistorted direction ``m`` with ``r = |m|`` to ``m (1 + k1 r² + k2 r⁴)``
+(Brown 1971, radial terms, as OpenCV's ``k1, k2``). The map of radii
+``ρ(r) = r (1 + k1 r² + k2 r⁴)`` increases only up to a radius where ``1 + 3 k1 r² + 5 k2 r⁴ = 0``;
+beyond it the model folds back and describes no lens. Results for such points are NaN.
 """
 
 from dataclasses import dataclass, field
@@ -24,11 +24,11 @@ _LARGEST = float(np.finfo(np.float64).max)
 # Real lenses stay below 1; the limit only keeps powers of the radius finite.
 _MAX_COEFFICIENT = 100.0
 
-# Below the fold 1 + k1 r² + k2 r⁴ stays above 4/9, for any k1 and k2: its smallest value there is
-# 1 − k1²/(4 k2) with k1² < 20 k2/9 (no fold), and larger with one. It brackets the radius.
+# Below the fold 1 + k1 r² + k2 r⁴ exceeds 4/9 for any k1 and k2: its smallest value there is
+# 1 − k1²/(4 k2) with k1² < 20 k2/9 (no fold), and larger with a fold. It brackets the radius.
 _LEAST_STRETCH = 4.0 / 9.0
 
-# Newton takes about five steps, bisection near the fold some thirty more.
+# Newton's method takes about five steps, bisection near the fold some thirty more.
 _MAX_ITERATIONS = 100
 _CONVERGED_SHARE = 4e-16
 
@@ -71,11 +71,11 @@ class Lens:
 
     @property
     def radial(self) -> tuple[float, float, float, float, float, float, float]:
-        """fx, fy, cx, cy, k1, k2, and the radius up to which the model holds, perhaps infinite."""
+        """fx, fy, cx, cy, k1, k2, and the radius of the fold, which may be infinite."""
         return self.fx, self.fy, self.cx, self.cy, self.k1, self.k2, self._max_radius
 
     def distort(self, points_px: ArrayLike) -> NDArray[np.float64]:
-        """Where the lens shows what a pinhole would show at `points_px`.
+        """Map pixels of the pinhole to pixels of the lens's image.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class Lens:
         Returns
         -------
         (..., 2)
-            Pixels of the image; NaN beyond the radius at which the model folds back.
+            Pixels of the image; NaN beyond the fold.
         """
         m = self._direction(points_px)
         r2 = (m**2).sum(axis=-1, keepdims=True)
@@ -113,11 +113,11 @@ class Lens:
         return np.where(r2 < self._max_radius**2, jacobian, np.nan)
 
     def undistort(self, points_px: ArrayLike) -> NDArray[np.float64]:
-        """Where a pinhole would show what the lens shows at `points_px`.
+        """Map pixels of the lens's image to pixels of the pinhole.
 
-        Solves ``ρ(r) = |n|`` for the radius by Newton's method inside a bracket. (The customary
-        fixed point ``m ← n / (1 + k1 |m|²)`` has the same solution, but slows down towards the fold
-        and leaves the solution for strong pincushion distortion.)
+        Solves ``ρ(r) = |n|`` for the radius by Newton's method inside a bracket. (The usual fixed
+        point iteration ``m ← n / (1 + k1 |m|²)`` has the same solution, but converges slowly near
+        the fold and diverges for strong pincushion distortion.)
 
         Parameters
         ----------
@@ -151,7 +151,7 @@ class Lens:
         return self._undistort_jacobian_at(self.undistort(points_px))
 
     def _undistort_jacobian_at(self, undistorted: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Differentiate `undistort` where it gave these points."""
+        """Differentiate `undistort` where its results are these points."""
         known = np.isfinite(undistorted)
         centre = np.array([self.cx, self.cy])
         inverse = np.linalg.inv(self.distort_jacobian(np.where(known, undistorted, centre)))
@@ -165,25 +165,25 @@ class Lens:
         half_length_px: float,
         middle_px: float = 0.0,
     ) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
-        """Line a pinhole would show, from a straight line fitted to the image of a straight thing.
+        """Return the pinhole's image of a straight body from a line fitted to the lens's image.
 
-        The image of a straight finger is slightly bent, and the line fitted to it cuts the bend
-        where a least-squares line cuts a parabola: at ``± half_length / √3`` from the middle (the
-        two nodes of Gauss and Legendre). These two points, not the anchor, lie on the image; they
-        are moved, and the line goes through them.
+        The image of a straight finger is slightly curved, and the line fitted to it intersects the
+        curve where a least-squares line intersects a parabola: at ``± half_length / √3`` from the
+        middle (the two Gauss-Legendre nodes). These two points, unlike the anchor, lie on the
+        image; they are undistorted, and the new line passes through them.
 
         Parameters
         ----------
         anchor_px : (2,)
             Point of the line.
         angle_rad
-            Its direction in the image.
+            Direction of the line in the image.
         covariance : (2, 2)
             Of (offset along the normal [px], angle [rad]) at the anchor.
         half_length_px
-            Half the length of the stretch of finger that the line was fitted to, > 0.
+            Half the length of the segment that the line was fitted to, > 0.
         middle_px
-            How far ahead of the anchor the middle of that stretch lies.
+            Distance from the anchor forward to the middle of that segment.
 
         Returns
         -------
@@ -208,7 +208,7 @@ class Lens:
         new_tangent = far - near
         length = np.hypot(*new_tangent)
         new_normal = np.array([-new_tangent[1], new_tangent[0]]) / length
-        # How far each moved point leaves the new line per unit of (offset, angle) of the old one.
+        # Derivative of each moved point's distance from the new line by the old (offset, angle).
         leave = (self._undistort_jacobian_at(undistorted) @ normal) @ new_normal
         leave = leave[:, None] * np.column_stack([np.ones(2), lever])
         jacobian = np.stack([leave.mean(axis=0), (leave[1] - leave[0]) / length])
@@ -226,7 +226,7 @@ class Lens:
         return np.asarray(direction * [self.fx, self.fy] + [self.cx, self.cy])
 
     def _undistorted_radius(self, rho: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Root of ``ρ(r) = rho`` below the fold; NaN where there is none."""
+        """Return the root of ``ρ(r) = rho`` below the fold; NaN where there is none."""
         if np.isfinite(self._max_radius):
             reach = self._max_radius * self._stretch(np.array(self._max_radius**2))
             rho = np.where(rho < reach, rho, np.nan)
@@ -250,13 +250,13 @@ class Lens:
 
 
 def _fold_radius(k1: float, k2: float) -> float:
-    """Smallest radius at which ``1 + 3 k1 r² + 5 k2 r⁴ = 0``; infinite if there is none."""
+    """Return the smallest root of ``1 + 3 k1 r² + 5 k2 r⁴ = 0``; infinite if there is none."""
     if k2 == 0.0:
         return float(np.sqrt(-1.0 / (3.0 * k1))) if k1 < 0.0 else np.inf
     discriminant = 9.0 * k1**2 - 20.0 * k2
     if discriminant < 0.0:
         return np.inf
-    # The citardauq form keeps the small root exact when k2 is tiny.
+    # The citardauq form is exact for the small root even if k2 is tiny.
     halves = (-3.0 * k1 + np.sqrt(discriminant), -3.0 * k1 - np.sqrt(discriminant))
     roots = [2.0 / half for half in halves if half > 0.0]
     return float(np.sqrt(min(roots))) if roots else np.inf

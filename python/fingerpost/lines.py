@@ -1,9 +1,9 @@
 """Lines in an image and on the working plane, in homogeneous form.
 
 A line is ``l = (a, b, c)`` with ``a² + b² = 1``; for a point ``x~ = (x, y, 1)`` on it ``l·x~ = 0``,
-and elsewhere ``l·x~`` is the signed distance in the unit of the coordinates. A line with a
-direction ``θ`` has the tangent ``e = (cos θ, sin θ)`` and the normal ``n = (−sin θ, cos θ)``, so in
-an image (u right, v down) its normal points to the right-hand side of someone walking along it.
+and elsewhere ``l·x~`` is the signed distance in the unit of the coordinates. A line of direction
+``θ`` has the tangent ``e = (cos θ, sin θ)`` and the normal ``n = (−sin θ, cos θ)``; in an image (u
+right, v down) the normal points to the right of the direction.
 
 Lines through a homography: Cipolla, Hadfield & Hollinghurst 1994, eq. 2.
 """
@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from fingerpost.checks import finite_array
 from fingerpost.errors import InvalidInputError
 
-# Below this share of the other entries a quotient would overflow: the point or line is at infinity.
+# Divisors below this share of the other entries overflow: the point or line is at infinity.
 _TINY = float(np.finfo(np.float64).tiny)
 
 
 def line_at_angle(point: ArrayLike, angle_rad: ArrayLike) -> NDArray[np.float64]:
-    """Line through a point in a direction.
+    """Return the line through a point in a direction.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def line_at_angle_jacobian(point: ArrayLike, angle_rad: ArrayLike) -> NDArray[np
 
 
 def line_through(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
-    """Line through two points, directed from the first to the second.
+    """Return the line through two points, directed from the first to the second.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def line_through(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
     Raises
     ------
     InvalidInputError
-        The two points are the same: every line through them would do.
+        The two points are equal, and determine no line.
     """
     first = finite_array(first, "first", (..., 2))
     second = finite_array(second, "second", (..., 2))
@@ -111,11 +111,11 @@ def normalised(line: ArrayLike) -> NDArray[np.float64]:
 
 
 def constraint_line(image_from_plane: ArrayLike, image_line: ArrayLike) -> NDArray[np.float64]:
-    """Line of the working plane that a view sees as `image_line`: eq. 2 of the paper.
+    """Return the line of the working plane whose image is `image_line`: eq. 2 of the paper.
 
-    ``l_i = T(l_gp)`` there says that the image line is the image of the constraint line. For lines
-    as vectors that is ``l_gp = Tᵀ l_i``: from ``x~ ∝ T X~`` follows ``l_i·x~ ∝ (Tᵀ l_i)·X~``, and
-    both vanish together.
+    There ``l_i = T(l_gp)`` states that the image line is the image of the constraint line. For line
+    vectors this is ``l_gp = Tᵀ l_i``: ``x~ ∝ T X~`` implies ``l_i·x~ ∝ (Tᵀ l_i)·X~``, so both
+    vanish together.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def constraint_line(image_from_plane: ArrayLike, image_line: ArrayLike) -> NDArr
 
 
 def intersection(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
-    """Point where two lines meet.
+    """Return the point of intersection of two lines.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def intersection(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
     Returns
     -------
     (..., 2)
-        NaN where the lines are parallel or the same.
+        NaN where the lines are parallel or equal.
     """
     first = finite_array(first, "first", (..., 3))
     second = finite_array(second, "second", (..., 3))
@@ -156,7 +156,7 @@ def intersection(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
 
 
 def crossing_angle_rad(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
-    """Angle at which two undirected lines cross, exact down to the smallest angles.
+    """Return the angle between two undirected lines, accurate for the smallest angles.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def crossing_angle_rad(first: ArrayLike, second: ArrayLike) -> NDArray[np.float6
 
 
 def distance(line: ArrayLike, point: ArrayLike) -> NDArray[np.float64]:
-    """Signed distance of points from lines, positive on the side the normal points to.
+    """Return the signed distance of points from lines, positive on the side of the normal.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def distance(line: ArrayLike, point: ArrayLike) -> NDArray[np.float64]:
 def clip_to_rectangle(
     line: ArrayLike, lower: ArrayLike, upper: ArrayLike
 ) -> NDArray[np.float64] | None:
-    """Part of a line inside an upright rectangle, to be drawn.
+    """Return the part of a line inside an axis-aligned rectangle, for drawing.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def clip_to_rectangle(
     Raises
     ------
     InvalidInputError
-        A rectangle without an inside, or the line at infinity.
+        An empty rectangle, or the line at infinity.
     """
     line = finite_array(line, "line", (3,))
     lower = finite_array(lower, "lower", (2,))
@@ -225,7 +225,7 @@ def clip_to_rectangle(
     if not line[:2].any():
         raise InvalidInputError(f"line {line.tolist()} is the line at infinity")
     a, b, c = normalised(line).tolist()
-    # The foot of the rectangle's centre keeps the arithmetic near what is drawn.
+    # Starting from the foot of the rectangle's centre keeps the numbers small.
     centre = (lower + upper) / 2
     foot = centre - (a * centre[0] + b * centre[1] + c) * np.array([a, b])
     enter, leave = -np.inf, np.inf

@@ -1,9 +1,9 @@
-"""Where the references are that a rig does not tell: found in the first frames of its views.
+"""Detects references whose pixels the rig does not give, in the first frames of its views.
 
-Every view proposes places where it may show the rectangle. Which of them it is, and which of its
-corners is which, all views tell together: carried onto the plane they show one table, and its
-texture agrees only where the same corner is the first one. Where the table is too plain for that,
-cameras are taken to stand on the same side of it. A plane seen from above is never mirrored.
+Every view proposes quadrilaterals that may be the rectangle. All views together determine which of
+them it is and the order of its corners: rectified to the plane, the views show the same table,
+whose texture matches only if all begin at the same corner. If the table has too little texture, the
+cameras are assumed to stand on the same side of it. A plane seen from above is never mirrored.
 """
 
 from __future__ import annotations
@@ -43,29 +43,29 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 SIDE_WEIGHT = 0.5
-"""What it counts by how much one place is likelier than another in its own view, as a logarithm,
-beside the correlation of two views' textures."""
+"""Weight of the log-likelihood of a quadrilateral in its own view, relative to the correlation of
+two views' textures."""
 
 UPRIGHT_WEIGHT = 0.15
-"""The same of how nearly cameras stand on the same side, as the cosine of the angle between."""
+"""Weight, likewise, of the cosine of the angle between the upward directions of two cameras."""
 
 LEAST_LIKENESS = 0.05
 
 LOOK_EVERY = 16
-"""While one is missing, frames are looked at whose number is a power of two or a multiple of this.
-"""
+"""While a reference is missing, the frames searched are those whose number is a power of two or a
+multiple of this."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Where a picture may show the plane's points.
+    """Possible image of the plane's points in one view.
 
     Attributes
     ----------
     measured
         The points, in their order.
     score
-        Logarithm of its likelihood by its own view.
+        Log-likelihood in its own view, up to a constant.
     """
 
     measured: Measured
@@ -73,27 +73,27 @@ class Placed:
 
 
 class ReferenceSearch:
-    """Looks for the references of a rig's views in their first frames.
+    """Searches the first frames of a rig's views for their references.
 
     Parameters
     ----------
     rig
-        One view or more, with references that are found.
+        One view or more, with references to be detected.
     """
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         self._places: dict[int, list[Placed]] = {}
         self._pictures: dict[int, Picture] = {}
-        self._looks = 0
+        self._rounds = 0
 
     @staticmethod
     def is_needed(rig: Rig) -> bool:
-        """Tell whether a rig leaves references to be found."""
+        """Return whether a rig has references that must be detected."""
         return any(is_open(view) for view in rig.views)
 
     def look(self, pictures: Mapping[int, Picture]) -> Rig | None:
-        """Look at a picture of some views, by their place in the rig.
+        """Search images of some views, given by the view's index in the rig.
 
         Parameters
         ----------
@@ -103,11 +103,11 @@ class ReferenceSearch:
         Returns
         -------
         Rig or None
-            The rig with the reference points of every view and their covariances, once all are
-            found.
+            The rig with the reference points of all views and their covariances; None while one is
+            missing.
         """
-        self._looks += 1
-        if self._looks & (self._looks - 1) and self._looks % LOOK_EVERY:
+        self._rounds += 1
+        if self._rounds & (self._rounds - 1) and self._rounds % LOOK_EVERY:
             return None
         for k, picture in pictures.items():
             view = self._rig.views[k]
@@ -123,7 +123,7 @@ class ReferenceSearch:
 
     @property
     def missing(self) -> dict[int, str]:
-        """What is not found yet and what would help, by the view's place."""
+        """Description of each missing reference and of the remedy, by index of the view."""
         return {
             k: _absence(view)
             for k, view in enumerate(self._rig.views)
@@ -165,7 +165,7 @@ class ReferenceSearch:
         return places
 
     def _is_clockwise(self) -> bool:
-        """Tell whether the plane's points run clockwise in pictures, as given ones do."""
+        """Return whether the plane's points run clockwise in the images, as any given ones do."""
         for view in self._rig.views:
             given = view.reference_points_px or getattr(view.reference, "corners_px", None)
             if given:
@@ -173,9 +173,9 @@ class ReferenceSearch:
         return bool(signed_area(np.array(self._rig.plane.points)) < 0.0)
 
     def _agreed(self) -> Rig:
-        """Choose one place of each view, so that together they are the likeliest.
+        """Choose the most likely combination of one place per view.
 
-        Cameras stand upright, or at least alike.
+        Cameras are assumed to stand upright, or to have similar upward directions.
         """
         rig = self._with({k: places[0] for k, places in self._places.items()})
         views = list(range(len(rig.views)))
@@ -207,7 +207,7 @@ class ReferenceSearch:
         return self._with({k: best[k] for k in self._places})
 
     def _up(self, corners_px: Array) -> Array:
-        """Return which way on the plane leads upwards in the picture."""
+        """Return the direction on the plane that points upwards in the image."""
         view = PlaneView.from_reference_points(self._rig.plane.points, corners_px, None)
         centre = view.plane_points.mean(axis=0)
         by_plane = transfer_jacobian_by_point(view.image_from_plane, centre)
@@ -228,14 +228,14 @@ class ReferenceSearch:
 
 
 def is_open(view: View) -> bool:
-    """Tell whether a view's references are to be found: it has no covariances of found ones."""
+    """Return whether a view's references must be detected: it has no covariances of them."""
     return not isinstance(view.reference, FixedReference) and (
         not view.reference_points_px or view.reference_covariances_px2 is None
     )
 
 
 def meter_of(rig: Rig, view: View) -> Meter:
-    """Return what measures a view's references, of the kinds that are found."""
+    """Return the meter for the references of a view that are detected, not given."""
     reference, size = view.reference, sides_of_plane(rig)
     if isinstance(reference, MarkersReference | ScreenReference):
         points = np.array(rig.plane.points, np.float64)
@@ -253,7 +253,7 @@ def _as_given(view: View) -> Placed:
 
 
 def sides_of_plane(rig: Rig) -> tuple[float, float]:
-    """Return the lengths of the plane's first side and of the next one."""
+    """Return the lengths of the plane's first two sides."""
     points = np.array(rig.plane.points[:4])
     first, second = np.linalg.norm(np.diff(points, axis=0), axis=1)[:2].tolist()
     return first, second
@@ -275,14 +275,14 @@ def _absence(view: View) -> str:
 
 
 def stand_in(rig: Rig) -> Rig:
-    """Return a rig with some points in place of those that are to be found.
+    """Return a rig with placeholders for the reference points that must be detected.
 
-    No picture shows them there; they only make views that can be asked for.
+    The placeholders correspond to no image; they only allow the views to be constructed.
     """
     points = np.array(rig.plane.points, np.float64)
     lower, upper = points.min(axis=0), points.max(axis=0)
     parts = (points - lower) / np.where(upper > lower, upper - lower, 1.0)
-    # Seen from above: Y upwards in the picture.
+    # Seen from above: Y points upwards in the image.
     shown = tuple((100.0 + 400.0 * x, 400.0 - 300.0 * y) for x, y in parts.tolist())
     views = tuple(
         structs.replace(view, reference_points_px=shown, reference_covariances_px2=None)

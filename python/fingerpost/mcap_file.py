@@ -1,22 +1,21 @@
-"""MCAP files as recordings of fingerpost: what stands in them, and how to read one that was cut.
+"""MCAP files as recordings of fingerpost: their contents, and reading of truncated files.
 
 A recording is an MCAP file (https://mcap.dev) of these parts, so that common viewers show it:
 
-- an attachment `rig.toml`, the rig whose views are those of the recording, and metadata
-  `fingerpost`: version, views, where their frames came from;
-- `/frames`, JSON: which frames came together, with the exact index and time of each (`Together`).
-  It stands behind the images of its step, so that a step counts when this message is there;
-- `/VIEW/image`, foxglove.CompressedImage, whose bytes decode to the very pixels that were followed
-  where they were passed through or are PNG; `/VIEW/calibration`, foxglove.CameraCalibration;
+- an attachment `rig.toml`, the rig with the recording's views, and metadata `fingerpost`: version,
+  views, sources of their frames;
+- `/frames`, JSON: the frames captured together, with the exact index and time of each
+  (`Together`). The message follows the images of its step; without it, the step is incomplete;
+- `/VIEW/image`, foxglove.CompressedImage, whose bytes decode to the exact processed pixels if they
+  were passed through or are PNG; `/VIEW/calibration`, foxglove.CameraCalibration;
 - of a run that followed hands: `/VIEW/annotations`, foxglove.ImageAnnotations; `/VIEW/track` and
   `/fix`, JSON with the columns of the tables; `/plane`, foxglove.SceneUpdate in plane units;
-- of one that guided an arm: `/robot/pose`, foxglove.PoseInFrame; `/robot/state` and
+- of a run that guided an arm: `/robot/pose`, foxglove.PoseInFrame; `/robot/state` and
   `/robot/command`, JSON (`fingerpost.guidance.arm_recording`).
 
-All messages of a step have one log time, and its number as their sequence; commands to an arm have
-their own time. The library reads files
-from their end, where the index is; what a crash leaves has none. `Records` reads from the start, up
-to the last byte that can be understood, within a chunk that was cut as well.
+All messages of a step have one log time, and the step's number as their sequence; commands to an
+arm have their own time. The library reads files from the index at their end, which is missing after
+a crash. `Records` reads from the start up to the last valid byte, also within a truncated chunk.
 """
 
 from __future__ import annotations
@@ -65,7 +64,7 @@ RIG_NAME = "rig.toml"
 
 _HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, size, CRC, length of the compression's name
-# What stands for itself; indices and statistics are made anew by whoever writes a file.
+# Self-contained records; indices and statistics are recomputed when a file is written.
 _KEPT: dict[int, type[McapRecord]] = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
@@ -83,7 +82,7 @@ def image_topic(view: str) -> str:
 
 
 def annotations_topic(view: str) -> str:
-    """Return the topic of what is drawn over a view's images."""
+    """Return the topic of the annotations of a view's images."""
     return f"/{view}/annotations"
 
 
@@ -98,7 +97,7 @@ def track_topic(view: str) -> str:
 
 
 def image_data(message: bytes) -> bytes:
-    """Return the JPEG or PNG of a message of images; nothing if it cannot be understood."""
+    """Return the JPEG or PNG data of an image message; empty if it cannot be decoded."""
     try:
         return bytes(CompressedImage.FromString(message).data)
     except DecodeError:
@@ -111,9 +110,9 @@ class Captured(msgspec.Struct, frozen=True, omit_defaults=True):
     Attributes
     ----------
     index, time_s
-        As a `fingerpost.capture.Frame`'s.
+        As in `fingerpost.capture.Frame`.
     why
-        Why there is no picture; empty if there is one.
+        Why there is no image; empty if there is one.
     """
 
     index: int
@@ -122,14 +121,14 @@ class Captured(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Together(msgspec.Struct, frozen=True):
-    """Which frames came together: a message of `/frames`.
+    """Frames captured together: a message of `/frames`.
 
     Attributes
     ----------
     step
-        Counts from 0; steps that were dropped leave a gap.
+        Counts from 0; dropped steps leave a gap.
     frames
-        One per view, in their order; None where a view had none of that time.
+        One per view, in their order; None if a view had none at that time.
     """
 
     step: int
@@ -137,20 +136,20 @@ class Together(msgspec.Struct, frozen=True):
 
 
 class About(msgspec.Struct, frozen=True, kw_only=True):
-    """What a recording says of itself: its metadata.
+    """Metadata of a recording.
 
     Attributes
     ----------
     version
-        Of fingerpost.
+        Version of fingerpost.
     views
-        Names, in the rig's order.
+        Names of the views, in the rig's order.
     sources
-        Where the frames came from, in that order; secrets are masked.
+        Sources of the frames, in that order; secrets are masked.
     started
-        When recording began, ISO 8601.
+        Begin of the recording, ISO 8601.
     unit
-        The plane's.
+        Unit of the plane.
     is_live
         Whether the frames came from cameras or streams.
     """
@@ -163,19 +162,19 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     is_live: bool
 
     def metadata(self) -> dict[str, str]:
-        """Return it as MCAP stores it."""
+        """Return the metadata in the form that MCAP stores."""
         return {"about": msgspec.json.encode(self).decode()}
 
     @classmethod
     def of(cls, metadata: dict[str, str]) -> About:
-        """Undo `metadata`; raises `msgspec.MsgspecError` or `KeyError`."""
+        """Invert `metadata`; raises `msgspec.MsgspecError` or `KeyError`."""
         return msgspec.json.decode(metadata["about"], type=cls)
 
 
 class Records:
-    """The records of an MCAP file that stand for themselves, in the order of the file.
+    """The self-contained records of an MCAP file, in the order of the file.
 
-    Iterate once. Those of chunks come like all others.
+    Iterate once. Records in chunks are included.
 
     Parameters
     ----------
@@ -185,7 +184,7 @@ class Records:
     Attributes
     ----------
     wrong
-        After the iteration, what is wrong with the file, for people; empty if it is whole.
+        After the iteration, a description of the file's damage; empty if it is complete.
 
     Raises
     ------
@@ -236,7 +235,7 @@ class Records:
             self.wrong = self.wrong or f"cut off at byte {self._size}"
 
     def _read(self, opcode: int, data: bytes) -> Iterator[McapRecord]:
-        """Give a record; none if it cannot be understood."""
+        """Yield a record; none if it cannot be decoded."""
         stream = ReadDataStream(BytesIO(data))
         try:
             if opcode == Opcode.MESSAGE:
@@ -266,7 +265,7 @@ class Records:
 
 
 def _decompressed(compression: str, data: bytes, size: int, path: Path) -> bytes:
-    """Return what a chunk holds, as far as its data are there; nothing where they are damaged."""
+    """Return the contents of a chunk up to a truncation; empty if its data are damaged."""
     if size > _LARGEST_CHUNK_BYTES:
         return b""
     try:
@@ -284,7 +283,7 @@ def _decompressed(compression: str, data: bytes, size: int, path: Path) -> bytes
 
 
 def read_summary(path: Path) -> Summary | None:
-    """Return the index at the end of an MCAP file; None if there is none, or not a whole one."""
+    """Return the index at the end of an MCAP file; None if it is missing or incomplete."""
     try:
         with path.open("rb") as file:
             file.seek(-len(MAGIC), 2)
@@ -296,7 +295,7 @@ def read_summary(path: Path) -> Summary | None:
 
 
 def message_counts(summary: Summary) -> dict[str, int]:
-    """Return how many messages of each topic there are, by an index; nothing if it does not say."""
+    """Return the number of messages of each topic in an index; empty if it has no statistics."""
     if summary.statistics is None:
         return {}
     counts = summary.statistics.channel_message_counts
@@ -307,12 +306,12 @@ def message_counts(summary: Summary) -> dict[str, int]:
 
 
 def read_about(path: Path) -> tuple[About, bytes]:
-    """Return what a recording says of itself, and its rig as TOML.
+    """Return a recording's metadata, and its rig as TOML.
 
     Raises
     ------
     SourceError
-        The file cannot be read, is no MCAP file, or not one of fingerpost's.
+        The file cannot be read, is not an MCAP file, or was not made by fingerpost.
     """
     about: About | None = None
     library = ""

@@ -1,8 +1,8 @@
-"""Operators by name: each person's habit in a file of his own, and fixes without it.
+"""Operators by name: one file for each person's habit, and the correction of fixes by it.
 
-The file holds what was pointed at and what was indicated; the habit is estimated anew when it
-is read. It is in the plane's coordinates, so it holds for one plane, and for who stands at the side
-of it that he was calibrated at.
+The file contains the targets and the points indicated for them; the habit is estimated again when
+the file is read. It is in the plane's coordinates, and therefore valid for one plane and for an
+operator who stands at the same side of it as during the calibration.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def operators_folder() -> Path:
-    """Return where operators are kept: in the platform's folder for settings of programs."""
+    """Return the folder of the operators' files: in the platform's folder for settings."""
     return Path(click.get_app_dir("fingerpost")) / "operators"
 
 
@@ -47,12 +47,12 @@ def operator_file(name: str) -> Path:
     Parameters
     ----------
     name
-        A name, which stands for a file in `operators_folder`; or a file, which ends in .toml.
+        The name of a file in `operators_folder` without suffix; or a path, which ends in .toml.
 
     Raises
     ------
     InvalidInputError
-        Neither.
+        It is neither.
     """
     if name.endswith(SUFFIX):
         return Path(name)
@@ -65,16 +65,16 @@ def operator_file(name: str) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class Operator:
-    """A person who points, and his habit.
+    """A person who points, with an estimated habit.
 
     Attributes
     ----------
     name
-        What he is called.
+        Name of the person.
     unit
-        Of the plane that he was calibrated on.
+        Unit of the plane of the calibration.
     habit
-        By how much he points beside what he means.
+        Habit of pointing.
     """
 
     name: str
@@ -88,12 +88,12 @@ class Operator:
         Parameters
         ----------
         name
-            As of `operator_file`.
+            As for `operator_file`.
 
         Raises
         ------
         InvalidInputError
-            There is none of that name, or the file is none of an operator.
+            There is no operator of that name, or the file does not describe one.
         """
         path = operator_file(str(name))
         try:
@@ -106,7 +106,7 @@ class Operator:
             raise InvalidInputError(_unknown(str(name), path)) from error
         except OSError as error:
             raise InvalidInputError(f"{path}: cannot be read: {error.strerror}") from error
-        except (ValueError, msgspec.ValidationError) as error:  # no TOML, no UTF-8, no habit
+        except (ValueError, msgspec.ValidationError) as error:  # invalid TOML, UTF-8 or habit
             raise InvalidInputError(
                 f"{path}: {error}; a file that `fingerpost calibrate-operator` wrote is needed"
             ) from error
@@ -149,19 +149,19 @@ class Operator:
             )
 
     def meant(self, fix: Fix, max_sigma: float) -> Fix:
-        """Return a fix with the habit subtracted from its point; one without a point as it is.
+        """Return a fix with the habit subtracted from its point; one without a point is unchanged.
 
         Parameters
         ----------
         fix
-            What was indicated.
+            The fix of the pipeline.
         max_sigma
             Largest standard deviation of a point in any direction [plane units].
         """
         if fix.point is None or fix.covariance is None:
             return fix
         meant = self.habit.meant(fix.point, fix.covariance)
-        # Those at the outermost targets scatter as well.
+        # Points at the outermost targets scatter beyond the hull as well.
         words = self._beyond(meant.beyond) if meant.beyond > self.habit.scatter else ""
         sigma = largest_sigma(meant.covariance)
         if sigma > max_sigma:

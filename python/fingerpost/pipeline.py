@@ -5,8 +5,8 @@
         print(fix.time_s, fix.status, fix.point)
 
 One step follows the paper: track the hand in every view (section 3.2), interpolate the finger
-lines to one time, transfer each to its constraint line on the plane and intersect them (section
-2.2). The loop exists once; display, recording and robot control are built around it.
+lines to a common time, transfer each to its constraint line on the plane and intersect these
+(section 2.2). This is the only loop; display, recording and robot control are built around it.
 """
 
 from __future__ import annotations
@@ -80,23 +80,23 @@ from fingerpost.uncertainty import joint_of
 _log = logging.getLogger(__name__)
 
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
-"""Standard deviation of a reference point clicked by a person or given by a line fit [px]."""
+"""Standard deviation of a reference point that was clicked or is given by a line fit [px]."""
 
 ANOTHER_FINGER = "its fingertip is not that of the other views"
-"""Reason for a view whose fingertip agrees with that of no other view."""
+"""Reason for a view whose fingertip matches that of no other view."""
 
 MIN_REPORTED_SIGMA = 0.05
 """Least standard deviation of the axis correction that is reported to the user [half-widths]."""
 
 LARGEST_PX = 2560
-"""Frames with a longer side are processed at a reduced size: a finger is no sharper in them, and
-time and memory would be many times those of decoding."""
+"""Longest side of a frame that is processed at full size [px]. Larger frames are reduced: a finger
+is no sharper in them, and time and memory would be many times those of decoding."""
 
 ABSENT_S = 1.0
-"""Time without frames after which a camera may be elsewhere or another: less than it takes to
-unplug it and to plug one in."""
+"""Time without frames after which a camera may have been moved or replaced [s]: less than it takes
+to unplug one camera and plug in another."""
 
-# Range of the standard deviation of reference points: its square stays above rounding [px].
+# Range of the standard deviation of reference points [px]: its square exceeds rounding errors.
 _REFERENCE_SIGMAS_PX = (1e-6, 1e6)
 
 WHOLE = Reduction(1)
@@ -114,30 +114,30 @@ class Observation:
     view
         The view's name.
     frame
-        The processed frame, reduced if it is large (`LARGEST_PX`); None where there is none of that
-        time. All pixel coordinates here are this frame's.
+        The processed frame, reduced if it is large (`LARGEST_PX`); None if the view has none at
+        that time. All pixel coordinates of the observation refer to this frame.
     loss
-        In place of a frame: a damaged image, or a camera that sends nothing.
+        Why the frame is missing: a damaged image, or a camera that sends nothing.
     reduction
         Reduction of the frame.
     track
-        The tracker's result; None without a frame, and while no hand has been found.
+        The tracker's result; None without a frame or a hand.
     contour_px
-        Contour after the frame, (N, 2) [px].
+        Contour fitted to the frame, (N, 2) [px].
     searched
         Search lines of the last edge search, with their edges; None without a template.
     missing
         Status of a view without a track: acquiring its first hand, or lost.
     moved_px
-        Mean motion of the table in the image by a motion of the camera, 0 if static [px].
+        Mean displacement of the table in the image since the camera moved, 0 if static [px].
     is_adrift
         Whether the camera has moved and its homography is unknown.
     plane_view
-        Homography of the view; the last known one if the camera is adrift.
+        Homography of the view; the last known one if `is_adrift`.
     axis_correction
         Correction from the line between the visible edges to the finger's axis.
     is_body
-        Whether the tracker follows a moving body of the system, as a robot's arm.
+        Whether the tracker follows a moving body of the system, such as a robot arm.
     """
 
     view: str
@@ -292,14 +292,14 @@ def _details(track: Track, search: SearchMarks, axis_correction: AxisCorrection)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Step:
-    """One frame of the first view, the results of all views, and the fix.
+    """One frame of the first view with the results of all views and the fix.
 
     Attributes
     ----------
     index
-        The frame's index in the source of the first view.
+        Index of the frame in the source of the first view.
     observations
-        One per view, in the rig's order, of the frames captured together.
+        One per view, in the rig's order, for the frames captured together.
     fix
         Fix at the time of the first view's frame.
     hand
@@ -351,7 +351,7 @@ def _marks(lines: SearchLines) -> SearchMarks:
 
 @dataclass(slots=True)
 class _Pending:
-    """A frame of the first view that waits for the other views to reach its time."""
+    """A frame of the first view that waits until the other views reach its time."""
 
     index: int
     time_s: float
@@ -369,7 +369,7 @@ class _NoLine:
     status
         Status of the view.
     reason
-        Reason beside the view's own loss of the hand; else empty.
+        Reason other than the view's own loss of the hand; else empty.
     """
 
     status: Status
@@ -390,7 +390,7 @@ class _History:
             self.entries.append((seen.time_s, entry, plane_view))
 
     def forget(self, time_s: float) -> None:
-        """Drop the entries that are not needed at a time or later: two that precede it are."""
+        """Drop the entries before a time, except for the last two: `align` needs them."""
         while len(self.entries) > 2 and self.entries[2][0] <= time_s:
             del self.entries[0]
 
@@ -451,17 +451,17 @@ class Pointer:
     reference_sigma_px
         Standard deviation of reference points that come without a covariance [px], 1e-6 to 1e6.
     moving
-        Called with every frame; returns the capsules of the system's moving bodies, as a robot's
-        arm, in plane coordinates: their silhouettes are never a hand.
+        Called with every frame; returns the capsules of the system's moving bodies, such as a
+        robot arm, in plane coordinates. Their silhouettes are excluded from the search for hands.
     operator
-        Whose habit of pointing is subtracted from the points; with None they are where the
-        finger's axis meets the plane.
+        Person whose habit of pointing is subtracted from the points; with None, a point is the
+        intersection of the finger's axis with the plane.
 
     Raises
     ------
     InvalidInputError
-        A rig that cannot point, whose views see the plane from different sides, an option out of
-        range, or an operator who was calibrated in another unit.
+        A rig with fewer than two views or whose views see the plane from different sides, an
+        option out of range, or an operator who was calibrated in another unit.
     """
 
     def __init__(
@@ -525,28 +525,28 @@ class Pointer:
 
     @property
     def rig(self) -> Rig:
-        """The rig, with the reference points that were found once `sees_plane`."""
+        """The rig, including the detected reference points once `sees_plane` is true."""
         return self._rig
 
     @property
     def sees_plane(self) -> bool:
-        """Whether the references of all views are known: those to be found have been."""
+        """Whether the reference points of all views are known: given or detected."""
         return self._search is None
 
     def push(self, images: Images, time_s: float) -> list[Fix]:
-        """Take images that a program has captured itself; return the fixes that they complete.
+        """Take images that the caller has captured; return the fixes that they complete.
 
-        A fix is of the time of a frame of the first view; it comes when the other views have
-        reached that time, with the same push where all are pushed together.
+        A fix has the time of a frame of the first view. It is returned once the other views have
+        reached that time: by the same push if all views are pushed together.
 
         Parameters
         ----------
         images
-            `uint8` of shape (height, width), or (height, width, 3) in blue, green and red, as the
-            camera gives them; copied. By the view's name, of one view, several or all; or a list
-            of one for each view in the rig's order, None where there is none.
+            `uint8` arrays of shape (height, width), or (height, width, 3) in the order blue, green,
+            red; copied. Either a mapping from view name to image, for one view or more, or a list
+            with one entry per view in the rig's order, None where there is no image.
         time_s
-            When they were taken [s], by one clock for all views; not before a view's last one.
+            Capture time [s], on one clock for all views; never decreasing within a view.
 
         Returns
         -------
@@ -556,7 +556,7 @@ class Pointer:
         Raises
         ------
         InvalidInputError
-            An unknown view, or what `update` refuses.
+            An unknown view, or images that `update` refuses.
         """
         rounds = self._pushed.take(images, time_s)
         return [step.fix for seen in rounds for step in self.update(seen)]
@@ -564,22 +564,22 @@ class Pointer:
     def update(self, seen: Sequence[Frame | Loss | None]) -> list[Step]:
         """Process one frame of every view; return the steps that are complete.
 
-        Views that are captured at one time give their step at once. Where a view lags behind, the
-        step of the first view's frame comes when the others have passed its time, or when that
-        takes longer than `max_wait_s`.
+        If all views are captured at the same time, their step is returned at once. If a view lags,
+        the step of a frame of the first view is returned when the other views have passed its
+        time, or after `max_wait_s`.
 
         Parameters
         ----------
         seen
-            One per view, in the rig's order; None where a view has none of that time, a `Loss`
-            where that has been lost: it is not processed.
+            One entry per view, in the rig's order; None if a view has no frame at that time, a
+            `Loss` if the frame was lost.
 
         Raises
         ------
         InvalidInputError
-            Another number of frames than views, an entry that is no frame, or one whose image or
-            time cannot be used; a view's first frame that does not show half of its reference
-            points; or a later one of another size.
+            The number of entries differs from that of the views; an entry is not a frame, or its
+            image or time is unusable; the first frame of a view contains fewer than half of its
+            reference points; or a later frame has another size.
         """
         self._admission.admit(seen)
         if self._search is not None and (waiting := self._look_for_references(seen)):
@@ -620,7 +620,7 @@ class Pointer:
             self._histories, observations, self.views, strict=True
         ):
             history.add(observation, view.plane_view)
-        # Of a camera that moves, tips of different times have no line in common.
+        # While a camera moves, its finger lines of different times are not comparable.
         self._monitor.take(
             [None if frame is None else frame.time_s for frame in frames],
             [one.finger if one.moved_px == 0.0 else None for one in observations],
@@ -639,7 +639,7 @@ class Pointer:
         return steps
 
     def _look_for_references(self, seen: Sequence[Frame | Loss | None]) -> list[Step]:
-        """Find the references of all views; return a step without a fix while one is missing.
+        """Detect the references of all views; return a step without a fix while one is missing.
 
         Raises
         ------
@@ -664,7 +664,7 @@ class Pointer:
             raise InvalidInputError(f"{wrong.what}; {wrong.right}")
 
     def _step_without(self, first: Frame | Loss, missing: Mapping[int, str]) -> Step:
-        """Return the step of a frame in which the references are still being searched."""
+        """Return the step of a frame while references are still missing."""
         none = np.empty((0, 2))
         observations = tuple(
             Observation(view.name, None, None, none, None, Status.ACQUIRING) for view in self.views
@@ -681,7 +681,8 @@ class Pointer:
         Raises
         ------
         InvalidInputError
-            The views agree on the plane only after the correction of a common mistake.
+            The views show the same picture, or agree on the plane only after a common mistake in
+            the rig is corrected.
         """
         if self._first is None:
             return
@@ -712,7 +713,7 @@ class Pointer:
         return HandView(view, self._rig.plane.points, self._tracker_options, sigma_px)
 
     def _reduced(self, k: int, frame: Frame | Loss | None) -> Frame | Loss | None:
-        """Reduce a large frame; with the first one its view restarts in reduced pixels."""
+        """Reduce a large frame; the first one restarts its view in reduced pixels."""
         if not isinstance(frame, Frame):
             return frame
         reduction = self._reductions[k]
@@ -743,7 +744,7 @@ class Pointer:
         return ReferenceFollower(points, meter, first, view.lens)
 
     def _watch(self, frames: Sequence[Frame | None]) -> None:
-        """Update the views' homographies: a camera may have moved."""
+        """Update the views' homographies, in case a camera has moved."""
         for k, (view, still, watch, frame) in enumerate(
             zip(self.views, self._still, self._watches, frames, strict=True)
         ):
@@ -757,12 +758,12 @@ class Pointer:
                 view.move(plane_view)
 
     def _follow(self, frames: Sequence[Frame | None]) -> None:
-        """Update the trackers of all views in one call, each independently of the others' errors.
+        """Update the trackers of all views in one call; an error in one does not stop the others.
 
         Raises
         ------
         FingerpostError
-            A tracker has refused its frame; the first view's error if there are several.
+            A tracker refused its frame; with several errors, that of the first view.
         """
         given = [
             (view, frame, taken)
@@ -788,18 +789,18 @@ class Pointer:
                 view.reject_if_flat(flat)
 
     def notes(self) -> list[str]:
-        """Return observations on the views, a line each: repeated images, differing clocks."""
+        """Return remarks on the views, one line each: repeated images, differing clocks."""
         return self._monitor.notes()
 
     def finish(self) -> list[Step]:
-        """Return the last steps, whose time not every view has reached."""
+        """Return the remaining steps, whose time some views have not reached."""
         steps = [step for seen in self._pushed.rest() for step in self.update(seen)]
         while self._pending:
             steps.append(self._step(self._pending.popleft(), "the view has ended before"))
         return steps
 
     def _ready(self) -> list[Step]:
-        """Return the steps whose time all views have reached, or for which one is too late."""
+        """Return the steps whose time all views have reached, or that have waited too long."""
         steps: list[Step] = []
         while self._pending:
             oldest_s = self._pending[0].time_s
@@ -854,7 +855,7 @@ def _with(entries: tuple[Entry, ...], k: int, entry: Entry) -> tuple[Entry, ...]
 def _absences(
     lines: Sequence[FingerLine | _NoLine], observations: Sequence[Observation]
 ) -> dict[int, str]:
-    """Return the reasons of views without a finger line, by index, beyond their status."""
+    """Return reasons that the status does not give, by index of the views without a line."""
     absences = {}
     for k, (finger, seen) in enumerate(zip(lines, observations, strict=True)):
         if isinstance(finger, FingerLine):
@@ -869,7 +870,7 @@ def _absences(
 
 
 def at_most(frames: Iterator[Frames], count: int | None) -> Iterator[Frames]:
-    """Give the first frames, as many as are wanted; all of them for None.
+    """Return an iterator over the first `count` frames, or over all of them for None.
 
     Raises
     ------
@@ -891,7 +892,7 @@ def steps(pointer: Pointer, frames: Iterable[Sequence[Frame | Loss | None]]) -> 
 
 
 Seen = tuple[Fix, tuple[Frame | Loss | None, ...]]
-"""A fix, and every view's entry with that frame of the first view."""
+"""A fix and the entries of all views for its frame of the first view."""
 
 
 @overload
@@ -931,15 +932,14 @@ def track(
     rig
         At least two views, each with a source.
     frames
-        Yield ``(fix, frames)`` instead, the frames in the rig's order: a `Frame`, a `Loss` in place
-        of one, or None where a view has none of that time.
+        Yield ``(fix, frames)`` instead. `frames` has one entry per view, in the rig's order: a
+        `Frame`, a `Loss` if it was lost, or None if the view has none at that time.
     max_frames
-        Stop after as many frames of each view; None reads on to the end.
+        Number of frames to read from each view; None reads to the end.
     give_up_after_s
-        How long a live view may send nothing before that is an error; None waits for ever for it
-        to come back.
+        Longest silence of a live view before an error is raised [s]; None waits for ever.
     **options
-        Those of `Pointer`.
+        Keyword arguments of `Pointer`.
 
     Yields
     ------
@@ -949,9 +949,9 @@ def track(
     Raises
     ------
     InvalidInputError
-        A rig that cannot point, an option out of range, or frames that `Pointer.update` refuses.
+        A rig or option that `Pointer` refuses, or frames that `Pointer.update` refuses.
     CaptureError
-        A source that cannot be opened or read, or is given up.
+        A source cannot be opened or read, or has been silent for too long.
     """
     pointer = Pointer(rig, **options)
     with ExitStack() as stack:

@@ -1,13 +1,13 @@
 """From finger lines in N ≥ 2 views to the indicated point: section 2 of the paper.
 
 R. Cipolla, P. A. Hadfield, N. J. Hollinghurst, "Uncalibrated stereo vision with pointing for a
-man-machine interface", MVA 1994. The cameras are not calibrated; each view is tied to the working
-plane by its reference points (`PlaneView`, eq. 1). A finger line in an image constrains the
-indicated point to a line of the plane (eq. 2); two such lines meet in it (figure 2). All arithmetic
-stays in the image planes and the working plane.
+man-machine interface", MVA 1994. The cameras are not calibrated; the reference points give the
+homography from the working plane to each view (`PlaneView`, eq. 1). A finger line in an image
+constrains the indicated point to a line of the plane (eq. 2); two such lines intersect in the point
+(figure 2). All arithmetic stays in the image planes and the working plane.
 
-Finger lines of different views are brought to one time first (`align`). A hand that cannot be seen,
-or that points where the views cannot tell, is a `Status` of the `Fix`, not an exception.
+Finger lines of different views are first interpolated to a common time (`align`). A lost hand or
+an ill-conditioned intersection is a `Status` of the `Fix`, not an exception.
 """
 
 import math
@@ -51,8 +51,9 @@ from fingerpost.uncertainty import (
 _LARGEST = float(np.finfo(np.float64).max)
 
 USUAL_HALF_WIDTH_PX = 8.0
-"""Half the width of a finger for which pixels in `PointingOptions` are meant as they are [px]. What
-a finger is not round by grows with its image; what is owed to pixels does not shrink with it."""
+"""Half-width of the finger to which the pixel values of `PointingOptions` refer [px]. Deviations
+of a finger from a cylinder scale with its image, so they grow for a wider finger; errors due to
+pixels do not shrink for a slimmer one."""
 
 
 class Status(StrEnum):
@@ -60,63 +61,64 @@ class Status(StrEnum):
 
     OK = "ok"
     ACQUIRING = "acquiring"
-    """The tracker has not settled on the hand yet."""
+    """The tracker has not yet confirmed a hand."""
     LOST = "lost"
-    """The hand is not where it was."""
+    """The tracker has lost the hand."""
     ILL_CONDITIONED = "ill_conditioned"
-    """The hand is seen, but its point is not defined; `Fix.reason` says why."""
+    """The hand is tracked, but the point is not determined; `Fix.reason` explains why."""
 
 
 # Where the 99 % ellipse ends, in standard deviations of two dimensions: √(−2 ln 0.01).
 _END = math.sqrt(-2.0 * math.log(0.01))
 
-# How far each state is from a fix; the worst of the views is what a fix without a point reports.
+# A fix without a point reports the most severe status of its views.
 _SEVERITY = {Status.OK: 0, Status.ILL_CONDITIONED: 1, Status.ACQUIRING: 2, Status.LOST: 3}
 
 
 @dataclass(frozen=True, slots=True)
 class PointingOptions:
-    """What a fix needs to be called one, and what is known about errors beyond noise."""
+    """Conditions under which a point is accepted, and the allowance for systematic errors."""
 
     max_sigma: float = 0.2
     """Largest standard deviation of the indicated point in any direction [share of
-    `PlaneView.plane_size`, > 0]. At 0.2 the 95 % ellipse is as long as the plane is: beyond, a
-    point adds no information to the plane. Up to there a large ellipse is as honest as a small
-    one, and what is to be done with the point decides how small it must be; robots have limits of
-    their own. The system of 1994 was accurate to 0.037. One point in a hundred lies outside its
-    99 % ellipse, however large that is: at 0.02 such errors stay below 0.05."""
+    `PlaneView.plane_size`, > 0]. At 0.2 the 95 % ellipse is as long as the plane; a larger one
+    carries no information beyond the plane itself. Below that the covariance is valid at any size,
+    and the application decides how small it must be; robots have limits of their own. The system of
+    1994 was accurate to 0.037. One point in a hundred lies outside its 99 % ellipse, of any size:
+    at 0.02 such errors stay below 0.05."""
 
     nsigma: float = 4.0
-    """How sure a refusal or an acceptance is [standard deviations, > 0]: points further than
-    ``nsigma · max_sigma`` must be excluded by as many standard deviations; a target is behind the
-    tip, and views disagree, only beyond as many."""
+    """Significance of the tests that accept or refuse a point [standard deviations, > 0]. To accept
+    one, points further away than ``nsigma · max_sigma`` must be excluded by this many standard
+    deviations; to refuse one as behind the fingertip, or for views that disagree, the excess must
+    be this many."""
 
     bias_offset_px: float = 0.0
-    """Standard deviation by which the measured medial line misses the finger's axis sideways, at
-    the anchor, beyond noise [px, ≥ 0]: of a finger as wide as `USUAL_HALF_WIDTH_PX` says or
-    slimmer, and of a wider one so much more. 0 suits a cylinder; see `BARE_HAND`."""
+    """Standard deviation of the systematic lateral offset between the measured medial line and the
+    finger's axis, at the anchor [px, ≥ 0]. It holds for half-widths up to `USUAL_HALF_WIDTH_PX` and
+    grows in proportion beyond. 0 suits a cylinder; see `BARE_HAND`."""
 
     bias_angle_rad: float = 0.0
-    """The same for its direction, turning about the anchor [rad, ≥ 0]: bent and conical fingers
-    are biased in angle above all. 0 suits a cylinder; see `BARE_HAND`. Another choice of the
-    stretch that is measured turns the medial line of a real finger by 0.01 to 0.02."""
+    """Standard deviation of the systematic error in direction, about the anchor [rad, ≥ 0]. Bent
+    and conical fingers are biased above all in angle. 0 suits a cylinder; see `BARE_HAND`. If
+    another stretch of a real finger is measured, its medial line turns by 0.01 to 0.02."""
 
     tip_sigma_px: float = 4.0
-    """Standard deviation of the finger tip along the finger [px, ≥ 0], as of `bias_offset_px`: a
-    finger that touches the plane points at its own tip, and must not be refused for pointing
-    backwards. It touches with its pad: a finger 26 px wide was seen to indicate points up to 11 px
-    behind its apex."""
+    """Standard deviation of the fingertip along the finger [px, ≥ 0]; it scales with the width as
+    `bias_offset_px` does. A finger that touches the plane indicates its own tip, and must not be
+    refused for pointing backwards. It touches with its pad: a finger 26 px wide indicated points up
+    to 11 px behind its apex."""
 
     max_skew_s: float = 0.001
-    """Largest difference between the times of the finger lines in one fix and its own [s, ≥ 0]:
-    at 0.5 m/s a millisecond costs about 1 mm. `align` brings it to zero."""
+    """Largest difference between the time of a fix and those of its finger lines [s, ≥ 0]: at
+    0.5 m/s a millisecond costs about 1 mm. `align` makes it zero."""
 
     max_gap_s: float = 0.1
-    """Largest distance in time of two finger lines between which `align` interpolates [s, > 0]."""
+    """Longest interval between two finger lines that `align` interpolates [s, > 0]."""
 
     max_wait_s: float = 0.1
-    """How far a view's newest finger line may lie behind before `align` gives up waiting for the
-    next [s, ≥ 0]."""
+    """Largest age of a view's newest finger line at which `align` still waits for the next
+    [s, ≥ 0]."""
 
     def __post_init__(self) -> None:
         for name in ("max_sigma", "nsigma", "max_gap_s"):
@@ -132,53 +134,53 @@ class PointingOptions:
 
 
 DEFAULT_OPTIONS = PointingOptions()
-"""Without any allowance for bias: for lines that are unbiased."""
+"""No allowance for bias."""
 
 BARE_HAND = PointingOptions(bias_offset_px=0.4, bias_angle_rad=0.006)
-"""What the main loop uses: a finger is not round, and shaded, and where its shaded flank is as
-bright as what is behind it the edge seems to lie inside of it. How much a finger is bent is
-seen, and counted in the covariance of its line (Rust, `axis`). The likeliest
-values for the lines of a rendered hand before tables of wood, stone and cloth, dark, grey and
-white ones, in colours and in grey. On 38 more films, of hands of many shapes, the points' 95 %
-ellipses hold 97 % of the intersections of the exact lines and their 50 % ellipses 69 %; of hands
-found without a start 95 % and 62 % (points 60 mm off follow something else, and are left out).
-Those of a mechanical device are held in all of 15 poses. These fingers are about 16 px wide."""
+"""Options of the main loop. A finger is neither round nor evenly lit: if its shaded flank is as
+bright as the background, the measured edge lies inside the finger. The bend of a finger is measured
+and is part of the covariance of its line (Rust, `axis`). Maximum-likelihood values for the lines of
+a rendered hand over tables of wood, stone and cloth, dark, grey and white, in colour and in grey.
+In 38 further films, with hands of many shapes, the 95 % ellipses contain 97 % of the
+intersections of the exact lines and the 50 % ellipses 69 %; for hands found without a start pose,
+95 % and 62 % (without points 60 mm off, where something else is followed). For a mechanical device
+they contain all of 15 poses. These fingers are about 16 px wide."""
 
 UNSEEN_HAND = replace(BARE_HAND, bias_angle_rad=0.0065)
-"""What to expect of a bare hand that nobody has seen: its bend is part of the allowance."""
+"""Options to forecast a bare hand: its bend is unknown and is part of the allowance."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class FingerLine:
-    """Axis of the pointing finger as one view sees it at one time.
+    """Axis of the pointing finger in one view at one time.
 
     Parameters
     ----------
     anchor_px : (2,)
-        Point of the line at the middle of the stretch of finger it was measured on: there, offset
-        and angle are least correlated.
+        Point of the line at the middle of the measured stretch of the finger, where offset and
+        angle are least correlated.
     angle_rad
         Direction of pointing in the image [rad], any value: 0 is +u (right), π/2 is +v (down).
     covariance : (2, 2)
-        Of the offset [px] along the normal ``(−sin, cos)`` and the angle [rad], at the anchor.
-        Zero for a line known exactly.
+        Covariance of the offset [px] along the normal ``(−sin, cos)`` and the angle [rad], at the
+        anchor. Zero for a line known exactly.
     tip_px : (2,)
-        Finger tip, ahead of the anchor; need not lie on the line exactly.
+        Fingertip, ahead of the anchor; need not lie on the line exactly.
     time_s
         Capture time [s], on one clock for all views.
     half_length_px
-        Half the length of that stretch [px], > 0. 0 stands for the way from anchor to tip.
+        Half the length of the measured stretch [px], > 0. 0 means the distance from anchor to tip.
     half_width_px
-        Half the finger's width [px], ≥ 0; 0 where it is not known.
+        Half the finger's width [px], ≥ 0; 0 if unknown.
     stretch_px
-        From where to where the line stands for the finger, along it from the anchor [px]: where a
-        lens bends the finger's image, the line is straightened over it. (0, 0) stands for what it
-        was measured on.
+        Interval along the line, from the anchor [px], over which the line represents the finger:
+        the correction of a lens straightens it over this interval. (0, 0) means the measured
+        stretch.
 
     Raises
     ------
     InvalidInputError
-        NaN, wrong shapes, a matrix that is no covariance, a tip behind the anchor, or a stretch
+        NaN, wrong shapes, a matrix that is not a covariance, a tip behind the anchor, or a stretch
         that ends before it begins.
     """
 
@@ -224,15 +226,15 @@ class FingerLine:
 
     @property
     def largeness(self) -> float:
-        """How many times as wide as `USUAL_HALF_WIDTH_PX` says the finger is, at least 1."""
+        """Ratio of the finger's half-width to `USUAL_HALF_WIDTH_PX`, at least 1."""
         return max(1.0, self.half_width_px / USUAL_HALF_WIDTH_PX)
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneView:
-    """How one view sees the working plane; built once from its reference points.
+    """Homography from the working plane to one view, with its covariance.
 
-    Use `from_reference_points`; the fields are for reading.
+    Build it with `from_reference_points`; the fields are read-only.
     """
 
     plane_points: NDArray[np.float64]
@@ -258,18 +260,18 @@ class PlaneView:
         covariances_px2: ArrayLike | None,
         lens: Lens | None = None,
     ) -> "PlaneView":
-        """Tie a view to the plane.
+        """Estimate the homography of a view from its reference points.
 
         Parameters
         ----------
         plane_points : (N, 2)
             Reference points on the plane, N ≥ 4, any unit; the same coordinates in every view.
         image_points_px : (N, 2)
-            Where the view shows them, in the same order; may lie outside the image.
+            Their images in the view, in the same order; may lie outside the frame.
         covariances_px2 : (2, 2), (N, 2, 2), (2N, 2N) or None
-            Covariance of each image point [px²], or of u and v of all of them, one after the
-            other, where they err together. None claims that they are known exactly; without
-            this claim they are the larger part of the error above about 0.07 px.
+            Covariance of each image point [px²], or joint covariance of u and v of all points in
+            turn, if their errors are correlated. None means that they are known exactly; from a
+            standard deviation of about 0.07 px, their errors dominate that of the point.
         lens
             Distortion of the view, if known; corrected in reference points and finger lines.
 
@@ -283,7 +285,7 @@ class PlaneView:
             As `fingerpost.homography.estimate_image_from_plane`; or points outside the domain of
             the lens model.
         InvalidInputError
-            Wrong shapes, NaN, too few points, no covariance.
+            Wrong shapes, NaN, too few points, or a matrix that is not a covariance.
         """
         plane = finite_array(plane_points, "plane_points", ("N", 2))
         image = finite_array(image_points_px, "image_points_px", ("N", 2))
@@ -314,20 +316,19 @@ class PlaneView:
         return cls(plane, T, homography_covariance(T, plane, covariances), lens)
 
     def moved(self, now_from_before: ArrayLike, covariance: ArrayLike) -> "PlaneView":
-        """Return the view when its camera has moved.
+        """Return the view after a motion of its camera.
 
         Parameters
         ----------
         now_from_before : (3, 3)
-            Homography from where the pinhole has shown points of the plane to where it shows them
-            now [px].
+            Homography from the previous to the present pinhole images of points of the plane [px].
         covariance : (9, 9)
-            Of its entries, row by row.
+            Covariance of its entries, row by row.
 
         Returns
         -------
         PlaneView
-            Its covariance counts that of the view before and that of the motion.
+            Its covariance includes those of the previous view and of the motion.
 
         Raises
         ------
@@ -346,14 +347,14 @@ class PlaneView:
         return PlaneView(self.plane_points, T / in_front, Σ_T, self.lens)
 
     def between(self, other: "PlaneView", part: float) -> "PlaneView":
-        """Return the view between this and another one of the same camera, as it moves evenly.
+        """Interpolate between two views of one camera that moves uniformly.
 
         Parameters
         ----------
         other
             The later view.
         part
-            How far from this one to it, from 0 to 1.
+            Fraction of the interval from this view to the later one, from 0 to 1.
         """
         if other is self:
             return self
@@ -362,7 +363,7 @@ class PlaneView:
         return PlaneView(self.plane_points, T, Σ_T, self.lens)
 
     def project(self, plane_points: ArrayLike) -> NDArray[np.float64]:
-        """Where the view shows points of the plane, its lens included.
+        """Project points of the plane into the image, lens distortion included.
 
         Parameters
         ----------
@@ -380,7 +381,7 @@ class PlaneView:
         return np.where(seen, self.lens.distort(np.where(seen, ideal, 0.0)), np.nan)
 
     def back_project(self, image_points_px: ArrayLike) -> NDArray[np.float64]:
-        """Points of the plane that the view shows at pixels, its lens included.
+        """Back-project pixels onto the plane, lens distortion included.
 
         Parameters
         ----------
@@ -401,23 +402,23 @@ class PlaneView:
 
     @cached_property
     def _floats(self) -> tuple[list[list[float]], list[list[float]]]:
-        """Homography and form of its covariance, as a frame's few lines take them."""
+        """Homography and a factor of its covariance as floats, for the few lines of a frame."""
         return self.image_from_plane.tolist(), entries_form(self.entries_covariance).tolist()
 
     def constrain(self, finger: FingerLine, options: PointingOptions) -> Constraint | None:
-        """Turn a finger line, its lens taken out, into its constraint line on the plane: eq. 2.
+        """Transfer an undistorted finger line to its constraint line on the plane: eq. 2.
 
         Parameters
         ----------
         finger
-            As `through_pinhole` gives it.
+            Line returned by `through_pinhole`.
         options
-            The allowance for bias counts as noise.
+            Its allowance for bias is added to the line's covariance.
 
         Returns
         -------
         Constraint or None
-            None for the plane's horizon, which meets the plane nowhere.
+            None for the plane's horizon, which does not intersect the plane.
         """
         u, v = finger.anchor_px.tolist()
         (offset, both), (_, angle) = finger.covariance.tolist()
@@ -431,23 +432,23 @@ class PlaneView:
         return constraint(line, covariance)
 
     def ahead_of_tip(self, finger: FingerLine, found: Intersection) -> tuple[float, float] | None:
-        """How far ahead of a finger's tip the view shows a point of the plane.
+        """Return the distance in the image from a fingertip forward to a point of the plane.
 
-        Along the finger's direction e that is ``e·(π(T X~) − tip)``, a quotient of two linear forms
+        Along the finger's direction e it is ``e·(π(T X~) − tip)``, a quotient of two linear forms
         of X~ with the divisor W of eq. 1.
 
         Parameters
         ----------
         finger
-            As `through_pinhole` gives it.
+            Line returned by `through_pinhole`.
         found
             The point, with its covariance.
 
         Returns
         -------
         (float, float) or None
-            Distance [px] and its variance [px²], that of the tip not counted; None beyond the
-            view's horizon.
+            Distance [px] and its variance without that of the tip [px²]; None beyond the view's
+            horizon.
         """
         (t11, t12, t13), (t21, t22, t23), (t31, t32, t33) = self._floats[0]
         x, y = found.point.tolist()
@@ -469,7 +470,7 @@ class PlaneView:
         return ahead, (xx * by_x + 2.0 * xy * by_y) * by_x + yy * by_y**2
 
     def through_pinhole(self, finger: FingerLine) -> FingerLine | Status:
-        """Finger line with the lens taken out; ILL_CONDITIONED where the lens model ends."""
+        """Undistort a finger line; ILL_CONDITIONED outside the domain of the lens model."""
         if self.lens is None:
             return finger
         begin, end = finger.stretch_px
@@ -493,21 +494,21 @@ class PlaneView:
 
 @dataclass(frozen=True, eq=False)
 class ConstraintLine:
-    """Line of the working plane on which one view's finger line puts the indicated point.
+    """Line of the working plane to which one view's finger line constrains the indicated point.
 
     Parameters
     ----------
     line : (3,)
         ``(a, b, c)`` in plane units, ``a² + b² = 1``.
     covariance : (3, 3)
-        Of ``line``, finger line, bias allowance and reference points counted.
+        Covariance of ``line``, from finger line, bias allowance and reference points.
     """
 
     line: NDArray[np.float64]
     covariance: NDArray[np.float64]
 
     def sigma_at(self, plane_points: ArrayLike) -> NDArray[np.float64]:
-        """Give the standard deviation across the line at points on it, to draw its band.
+        """Return the standard deviation across the line at points on it, to draw its band.
 
         Parameters
         ----------
@@ -539,17 +540,17 @@ class Fix:
     point : (2,) or None
         Indicated point [plane units].
     covariance : (2, 2) or None
-        Its covariance [plane units²]: first order, but no smaller than the lines allow at the end
+        Its covariance [plane units²]: first order, but no smaller than that of the lines at the end
         of its 99 % ellipse (`fingerpost.uncertainty.widened_covariance`). With status
-        `ill_conditioned`, that of the point refused, which shows why; infinite on the diagonal if
-        nothing bounds it. None without two finger lines.
+        `ill_conditioned`, the covariance of the refused point, which shows the reason; infinite on
+        the diagonal if the point is unbounded. None without two finger lines.
     crossing_angle_rad
         Largest angle between two constraint lines, from 0 to π/2 [rad]; None without two.
     reason
-        Why the status is not `ok`, or which views a fix had to do without; else empty.
+        Why the status is not `ok`, or which views did not contribute; else empty.
     targets
-        How probably the hand points at each of the rig's targets, by name, and at None: at none of
-        them. Empty without a point, or without targets.
+        Probability that the hand points at each of the rig's targets, by name; under None, that it
+        points at no target. Empty without a point or without targets.
     """
 
     time_s: float
@@ -563,11 +564,11 @@ class Fix:
 
     @property
     def target(self) -> str | None:
-        """The target that the hand most probably points at; None if that is none of them."""
+        """The most probable target; None if it is more probable that there is none."""
         return max(self.targets, key=self.targets.__getitem__) if self.targets else None
 
     def ellipse(self, confidence: float = 0.95) -> Ellipse | None:
-        """Ellipse that holds the indicated point with a given probability; None without a point.
+        """Confidence ellipse of the indicated point; None without a point.
 
         Parameters
         ----------
@@ -588,35 +589,34 @@ def indicated_point(
     names: Sequence[str] | None = None,
     absences: Mapping[int, str] = MappingProxyType({}),
 ) -> Fix:
-    """Where on the working plane the hand points, from all views at one time.
+    """Compute the indicated point on the working plane from all views at one time.
 
     Parameters
     ----------
     finger_lines
-        One entry per view: its finger line, or the status that says why there is none.
+        One entry per view: its finger line, or the status of a view without one.
     plane_views
         The N ≥ 2 views in the same order.
     time_s
-        Time of the fix [s]; every finger line is of this time (`align`).
+        Time of the fix [s]; all finger lines must have this time (`align`).
     options
         See `PointingOptions`.
     names
-        What `Fix.reason` calls the views, in their order; by default "view 0" and on.
+        Names of the views in `Fix.reason`, in their order; by default "view 0" and on.
     absences
-        Why a view has no finger line, by its place among the views, where its status does not say
-        it all.
+        Reasons for missing finger lines that the status does not give, by index of the view.
 
     Returns
     -------
     Fix
-        Views without a finger line are left out as long as two have one; with fewer there is no
-        point, and the status is the worst of the views.
+        Views without a finger line are left out. With fewer than two lines there is no point, and
+        the status is the most severe of the views.
 
     Raises
     ------
     InvalidInputError
-        Fewer than two views, another number of entries or names, an entry that is neither, or a
-        finger line of another time.
+        Fewer than two views, another number of entries or names, an entry that is neither a line
+        nor a status, or a finger line of another time.
     """
     if names is None:
         names = [f"view {k}" for k in range(len(plane_views))]
@@ -634,8 +634,8 @@ def indicated_point(
         if k not in seen
     )
 
-    # The finger line l_i in each image; eq. 2, l_i = T(l_gp), turns it into the constraint line
-    # l_gp = Tᵀ l_i of the plane, on which the indicated point lies.
+    # Eq. 2: the finger line l_i of each image becomes the constraint line l_gp = Tᵀ l_i of the
+    # plane, on which the indicated point lies.
     views = [plane_views[k] for k in seen]
     l_gp = [view.constrain(finger, options) for view, finger in zip(views, fingers, strict=True)]
     lines = _drawn(l_gp, seen, len(entries))
@@ -646,7 +646,8 @@ def indicated_point(
         reason = "a finger line is the horizon of the plane and meets it nowhere"
         return Fix(time_s, Status.ILL_CONDITIONED, lines, covariance=UNBOUNDED, reason=reason)
 
-    # Figure 2c: the constraint lines of two views meet in the indicated point; more views vote.
+    # Figure 2c: the constraint lines of two views intersect in the indicated point; those of more
+    # views give it by least squares.
     found = meeting_point(met)
     crossing = _largest_crossing_angle(met)
     max_sigma = options.max_sigma * max(view.plane_size for view in plane_views)
@@ -654,12 +655,12 @@ def indicated_point(
     doubt = (
         _uncertain(wide, max_sigma, crossing)
         or _views_disagree(found, len(fingers), options)
-        # Figure 2, last step: the point is projected back into the images.
+        # Figure 2, last step: the point is projected into the images.
         or _misplaced(found, views, fingers, [names[k] for k in seen], options)
     )
     if doubt:
         return Fix(time_s, Status.ILL_CONDITIONED, lines, None, wide, crossing, doubt)
-    # As sure as the lines are of it where the 99 % ellipse ends, but no surer than nearer by.
+    # The covariance of the lines at the end of the 99 % ellipse, if larger than that at the point.
     end = min(_END * largest_sigma(found.covariance), options.nsigma * max_sigma)
     covariance = widened(met, found, end)
     if doubt := _uncertain(covariance, max_sigma, crossing):
@@ -668,7 +669,7 @@ def indicated_point(
 
 
 class AlignmentState(StrEnum):
-    """What `align` could do for a view."""
+    """Outcome of `align` for a view."""
 
     ALIGNED = "aligned"
     WAIT = "wait"
@@ -681,7 +682,7 @@ class AlignmentState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """Finger line of one view at a wanted time.
+    """Finger line of one view at a requested time.
 
     Parameters
     ----------
@@ -690,7 +691,7 @@ class Alignment:
     line
         The finger line at that time, or None.
     reason
-        Why there is none, with times in seconds; else empty.
+        Why there is no line, with times in seconds; else empty.
     """
 
     state: AlignmentState
@@ -701,27 +702,27 @@ class Alignment:
 def align(
     history: Sequence[FingerLine], time_s: float, options: PointingOptions = DEFAULT_OPTIONS
 ) -> Alignment:
-    """Finger line of one view at `time_s`, interpolated between its neighbours in time.
+    """Interpolate the finger line of one view at `time_s` between its neighbours in time.
 
-    Anchor and angle follow the parabola through the two neighbours and the line before them
-    (angles along the shorter way round): on a circle of 80 mm at 0.5 m/s, what it leaves between
-    frames of 30 a second is a tenth of what a straight line leaves. A straight line is taken where
-    there is no such third line, or where its weights would make more of the measurement errors
-    than one frame does. Lengths, widths and the tip's place in the finger's own frame are
-    interpolated linearly. The nearest frame would do for none of this: at 0.5 m/s and 20 ms it is
-    wrong by some 17 mm. Nothing is extrapolated.
+    Anchor and angle follow the parabola through the two neighbours and the preceding line (angles
+    along the shorter way round). On a circle of 80 mm at 0.5 m/s and 30 frames a second, its
+    interpolation error is a tenth of that of a straight line. Interpolation is linear if there is
+    no third line, or if the parabola's weights would give the measurement errors a larger variance
+    than that of one frame. Lengths, widths and the tip's position in the finger's own frame are
+    interpolated linearly. The nearest frame is no substitute: at 0.5 m/s and 20 ms it is wrong by
+    some 17 mm. Nothing is extrapolated.
 
-    The measurement errors of the lines are independent, so their covariances add up with squared
-    weights: a line halfway between two is the surer for it. What the hand's motion differs by from
-    the curve is not counted.
+    The measurement errors of the lines are independent, so their covariances add with squared
+    weights: halfway between two lines the covariance is smaller. The deviation of the hand's motion
+    from the curve is not included.
 
     Parameters
     ----------
     history
         The view's latest finger lines, oldest first, times strictly increasing; may be empty.
-        Frames on which the hand was lost are simply absent.
+        Frames in which the hand was lost are absent.
     time_s
-        Wanted time [s].
+        Requested time [s].
     options
         `max_gap_s` and `max_wait_s` apply.
 
@@ -766,7 +767,7 @@ def align(
     return Alignment(AlignmentState.ALIGNED, _interpolated(lines, time_s), "")
 
 
-# Beyond a quarter turn between two frames, "the shorter way round" is a guess.
+# Beyond a quarter turn between two frames, the sense of rotation is ambiguous.
 _MAX_TURN_RAD = np.pi / 2
 
 
@@ -782,18 +783,18 @@ def _on_parabola(
     time_s: float,
     options: PointingOptions,
 ) -> list[FingerLine]:
-    """Return the three lines of a parabola; nothing where a straight line is better."""
+    """Return the three lines of the parabola; an empty list to interpolate linearly."""
     if preceding is None or before.time_s - preceding.time_s > options.max_gap_s:
         return []
     if abs(_turn(preceding, before)) > _MAX_TURN_RAD:
         return []
     lines = [preceding, before, after]
-    # Where two of them follow each other closely, their errors would be continued far.
+    # If two of them are close in time, the parabola amplifies their errors.
     return lines if sum(w * w for w in _lagrange_weights(lines, time_s)) <= 1.0 else []
 
 
 def _lagrange_weights(lines: Sequence[FingerLine], time_s: float) -> list[float]:
-    """Weights of lines in the value of the polynomial through them at a time."""
+    """Return the weights of lines in the interpolating polynomial at a time."""
     times_s = [line.time_s for line in lines]
     return [
         math.prod((time_s - other) / (own - other) for other in times_s if other != own)
@@ -802,14 +803,14 @@ def _lagrange_weights(lines: Sequence[FingerLine], time_s: float) -> list[float]
 
 
 def _interpolated(lines: Sequence[FingerLine], time_s: float) -> FingerLine:
-    """Evaluate the polynomial through lines; the last two are the neighbours of the time."""
+    """Evaluate the interpolating polynomial; the last two lines are the neighbours in time."""
     *_, before, after = lines
     weights = _lagrange_weights(lines, time_s)
     angle = before.angle_rad + sum(
         weight * _turn(before, line) for line, weight in zip(lines, weights, strict=True)
     )
     anchor = np.array(weights) @ np.array([line.anchor_px for line in lines])
-    # An offset moves the anchor along its own line's normal, seen here from the new one.
+    # An offset moves the anchor along its own line's normal; express it along the new normal.
     errors = [
         weight * np.diag([np.cos(angle - line.angle_rad), 1.0])
         for line, weight in zip(lines, weights, strict=True)
@@ -862,7 +863,7 @@ def _largest_crossing_angle(constraints: Sequence[Constraint]) -> float:
 
 
 def _uncertain(widened: NDArray[np.float64], max_sigma: float, crossing_rad: float) -> str:
-    """Why the point is too uncertain to be one; empty if it is not."""
+    """Return why the point is too uncertain; empty if it is accepted."""
     sigma = largest_sigma(widened)
     if math.isfinite(sigma):
         if sigma <= max_sigma:
@@ -877,7 +878,7 @@ def _uncertain(widened: NDArray[np.float64], max_sigma: float, crossing_rad: flo
 
 
 def _views_disagree(found: Intersection, views: int, options: PointingOptions) -> str:
-    """Why three or more constraint lines do not belong to one point; empty if they do."""
+    """Return why three or more constraint lines are inconsistent; empty if they are consistent."""
     freedom = views - 2
     if freedom == 0:
         return ""
@@ -898,7 +899,7 @@ def _misplaced(
     names: Sequence[str],
     options: PointingOptions,
 ) -> str:
-    """Why the point cannot be what the hand in some view points at; empty if it can."""
+    """Return why a view contradicts the point, which lies behind its fingertip; else empty."""
     placed = []
     for name, view, finger in zip(names, views, fingers, strict=True):
         place = view.ahead_of_tip(finger, found)

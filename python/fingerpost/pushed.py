@@ -1,8 +1,8 @@
-"""Images that a program pushes, one view's at a time or all together, as the frames of rounds.
+"""Groups images that a program pushes, view by view or together, into rounds of frames.
 
-A hand is found, and distinguished from other things, by what several views show at about one time.
-So what is pushed for one view waits for the others: a round is complete when every view has a
-frame, or when a view has its next one before some other has any.
+A hand is found and verified in frames of several views at about the same time. An image that is
+pushed for one view therefore waits for the others: a round is complete when every view has a frame,
+or when a view receives its next frame before another view has any.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from fingerpost.config import View
 from fingerpost.errors import InvalidInputError
 
 Images = Mapping[str, NDArray[np.uint8]] | Sequence[NDArray[np.uint8] | None]
-"""By their view's name; or one for each view in the rig's order, None where there is none."""
+"""Images by view name; or one entry per view in the rig's order, None where there is no image."""
 
 Round = tuple[Frame | None, ...]
 
 
 class PushedViews:
-    """Makes rounds of frames out of pushed images.
+    """Groups pushed images into rounds of frames.
 
     Parameters
     ----------
     views
-        The rig's.
+        Views of the rig.
     admission
-        Asked before anything is kept: what cannot be used is refused by the push that brought it.
+        Checks images before any is stored: the push that brings an unusable image raises the error.
     """
 
     def __init__(self, views: Sequence[View], admission: Admission) -> None:
@@ -48,7 +48,7 @@ class PushedViews:
         Raises
         ------
         InvalidInputError
-            As `Pointer.push`. Nothing of what was pushed is kept.
+            As `Pointer.push`. No image of the push is kept.
         """
         frames = self._frames(images, time_s)
         self._admission.admit(frames)
@@ -64,7 +64,7 @@ class PushedViews:
         return rounds
 
     def rest(self) -> list[Round]:
-        """Return what waits as a last round, if anything does."""
+        """Return the waiting frames as the last round, if there are any."""
         waiting = tuple(self._waiting)
         self._waiting = [None] * len(self._views)
         return [waiting] if any(waiting) else []
@@ -97,7 +97,7 @@ class PushedViews:
 
 
 def _arranged(image: Any, view: View) -> Any:
-    """Turn an image as the rig says; what is none is left to be refused."""
+    """Rotate and flip an image as the rig says; other objects pass, to be refused later."""
     if view.arrangement == AS_IT_IS or np.ndim(image) < 2 or not isinstance(image, np.ndarray):
         return image
     try:
@@ -107,6 +107,6 @@ def _arranged(image: Any, view: View) -> Any:
 
 
 def _own(frame: Frame, view: View) -> Frame:
-    """Copy a frame, by the view's clock: whoever pushes it may go on to write to its image."""
+    """Copy a frame, with the view's time offset: the caller may reuse the image's buffer."""
     image = np.array(frame.image, order="C")
     return replace(frame, image=image, time_s=float(frame.time_s) + view.offset_s)

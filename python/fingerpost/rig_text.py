@@ -1,8 +1,8 @@
-"""The text of a rig file: TOML, and what people write by a slip of the hand instead.
+"""Parser of rig files: TOML, with suggestions for common typing mistakes.
 
-What is no TOML is answered by the line that would be right. Each repair below knows one kind of
-slip and makes suggestions for a line; a suggestion counts only if the file can be read beyond that
-line with it, so that advice is never worse than the mistake.
+The message about invalid TOML contains the line that would be right. Each repair below covers one
+kind of mistake and yields suggestions for a line. A suggestion is accepted only if the file can
+then be read beyond that line, so that advice is never worse than the mistake.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _BYTE_ORDER_MARKS = {
     b"\xff\xfe": "UTF-16",
     b"\xfe\xff": "UTF-16",
 }
-_SLIPS_A_LINE = 4  # with more of them, a line is no slip
+_SLIPS_A_LINE = 4  # a line with more mistakes is not a typing mistake
 _LONGEST = 20_000  # characters of a rig file; it is read once for every suggestion
 _LONGEST_LINE = 2_000
-_SHOWN = 80  # characters of a line that a message has room for
+_SHOWN = 80  # longest part of a line in a message [characters]
 
-# How many numbers stand between the innermost brackets of a key.
+# Number of entries in the innermost brackets of a key.
 _COORDINATES = {
     "points": 2,
     "reference_points_px": 2,
@@ -43,7 +43,7 @@ _COORDINATES = {
 
 
 def parsed(data: bytes) -> dict[str, Any]:
-    """Read the text of a rig file.
+    """Parse the text of a rig file.
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ def parsed(data: bytes) -> dict[str, Any]:
     Raises
     ------
     InvalidInputError
-        It is none, or it is TOML that says something else than what was meant; the message is one
-        line with the place and, where it is known, what would be right.
+        The text is not TOML, or it is TOML with an unintended meaning; the message is one line with
+        the place and, if known, what would be right.
     """
     text = _decoded(data)
     try:
@@ -94,13 +94,13 @@ def _decoded(data: bytes) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-# --- what is TOML, but not what was meant -----------------------------------------------------
+# --- TOML of unintended meaning ---------------------------------------------------------------
 
 _ESCAPES = {"\b": r"\b", "\t": r"\t", "\n": r"\n", "\f": r"\f", "\r": r"\r"}
 
 
 def _refuse_unmeant(value: object, place: str, key: str) -> None:
-    """Look through all values for a path that lost its backslashes, and for decimal commas."""
+    """Search all values for paths that lost their backslashes, and for decimal commas."""
     if isinstance(value, dict):
         for name, inner in value.items():
             _refuse_unmeant(inner, f"{place}.{name}".lstrip("."), name)
@@ -135,7 +135,7 @@ def _in_quotes(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-# --- what is no TOML --------------------------------------------------------------------------
+# --- invalid TOML -----------------------------------------------------------------------------
 
 _BACKSLASHES = "in double quotes a backslash begins an escape"
 _DECIMAL_POINT = "a number has a decimal point, and commas stand between numbers"
@@ -156,11 +156,11 @@ _KEYBOARD = str.maketrans(
 )
 
 Repair = Callable[[str], Iterator[str]]
-"""Suggests what a line might have been meant to be, the likeliest first."""
+"""Yields corrections of a line, the likeliest first."""
 
 
 def _instead(pattern: str, instead: str) -> Repair:
-    """Put something else wherever a pattern is found."""
+    """Return a repair that replaces all matches of a pattern."""
 
     def repair(line: str) -> Iterator[str]:
         yield re.sub(pattern, instead, line)
@@ -197,7 +197,7 @@ def _lower_case(line: str) -> Iterator[str]:
 
 
 def _semicolons(line: str) -> Iterator[str]:
-    """Between semicolons, a comma is a decimal one."""
+    """Replace semicolons by commas, and decimal commas between them by points."""
     if ";" in line:
         yield re.sub(r"\s*;\s*", ", ", re.sub(r"(?<=\d),(?=\d)", ".", line))
 
@@ -237,7 +237,7 @@ def _with_comma(line: str) -> Iterator[str]:
     yield re.sub(r"(\s*(?:#.*)?)$", r",\1", line, count=1)
 
 
-# The rule that a slip breaks, and its repair; the plainer it is to see, the earlier it stands.
+# The rule that a mistake breaks, and its repair; the most obvious mistakes come first.
 _REPAIRS: tuple[tuple[str, Repair], ...] = (
     (_BACKSLASHES, _backslashes),
     ("quotes, dashes and spaces are the plain ones of a keyboard", _typed),
@@ -267,13 +267,13 @@ _REPAIRS: tuple[tuple[str, Repair], ...] = (
     (_BRACKETS, _closed),
     (_BRACKETS, _opened),
 )
-# Those of the line before: a list goes on over the end of a line, until its bracket is closed.
+# Repairs of the previous line: a list continues over line ends until its bracket is closed.
 _REPAIRS_BEFORE: tuple[tuple[str, Repair], ...] = ((_BRACKETS, _closed), (_COMMAS, _with_comma))
 
 
 @dataclass(frozen=True, slots=True)
 class _Suggestion:
-    """A line that would be right instead of some others, and the rule that those break."""
+    """A replacement for a range of lines, and the rule that those lines break."""
 
     rule: str
     begin: int
@@ -285,7 +285,7 @@ class _Suggestion:
 
 
 def _advice(text: str, error: tomllib.TOMLDecodeError) -> str:
-    """Give the rule that was broken and the line that would be right, to end a message with."""
+    """Return the end of a message: the broken rule and the line that would be right."""
     lines = text.split("\n")
     if len(text) > _LONGEST or max(map(len, lines)) > _LONGEST_LINE:
         return ""
@@ -296,7 +296,7 @@ def _advice(text: str, error: tomllib.TOMLDecodeError) -> str:
     found = _repaired(lines, left)
     if found is None or not found.line.replace("\t", " ").isprintable():
         return ""
-    if "://" in found.line:  # which may hold a password
+    if "://" in found.line:  # may contain a password
         return f": {found.rule}; so it is to be in line {found.begin + 1}"
     old = lines[found.begin] if found.begin < found.end else ""
     right = _shown(found.line, old)
@@ -304,14 +304,14 @@ def _advice(text: str, error: tomllib.TOMLDecodeError) -> str:
 
 
 def _repaired(lines: list[str], left: tuple[int, int]) -> _Suggestion | None:
-    """Find what lets a file be read beyond the line that it cannot be read at.
+    """Find a correction with which a file can be read beyond the line of an error.
 
     Parameters
     ----------
     lines
-        The file's.
+        Lines of the file.
     left
-        How many lines and characters of it are behind the error.
+        Numbers of lines and characters after the error.
     """
     first: _Suggestion | None = None
     for _ in range(_SLIPS_A_LINE):
@@ -333,7 +333,7 @@ def _repaired(lines: list[str], left: tuple[int, int]) -> _Suggestion | None:
 
 
 def _suggestions(lines: list[str], index: int) -> Iterator[_Suggestion]:
-    """Suggest what a line, or what is about it, was meant to be."""
+    """Yield corrections of a line and the lines around it."""
     before = index - 1
     while before >= 0 and not lines[before].partition("#")[0].strip():
         before -= 1
@@ -350,12 +350,12 @@ def _suggestions(lines: list[str], index: int) -> Iterator[_Suggestion]:
 
 
 def _is_beyond(remains: tuple[int, int] | None, lines_left: int) -> bool:
-    """Whether there is no error any more, or only in the lines that were left."""
+    """Whether there is no error left, or only one in the remaining lines."""
     return remains is None or remains[0] < lines_left
 
 
 def _unread(lines: list[str]) -> tuple[int, int] | None:
-    """Return how many lines and characters are behind the first error; None without one."""
+    """Return the numbers of lines and characters after the first error; None without one."""
     try:
         tomllib.loads("\n".join(lines))
     except tomllib.TOMLDecodeError as error:
@@ -366,7 +366,7 @@ def _unread(lines: list[str]) -> tuple[int, int] | None:
 
 
 def _distance(lines: list[str], error: tomllib.TOMLDecodeError) -> tuple[int, int]:
-    """Return how many lines are behind that of an error, and how many characters of its own."""
+    """Return the numbers of lines after an error's line, and of characters after it in its line."""
     place = re.search(r"\(at line (\d+), column (\d+)\)$", str(error))
     if place is not None:
         index, column = int(place[1]) - 1, int(place[2]) - 1
@@ -376,7 +376,7 @@ def _distance(lines: list[str], error: tomllib.TOMLDecodeError) -> tuple[int, in
 
 
 def _shown(line: str, old: str) -> str:
-    """Return a line as a message has room for it: of a long one, what is about the change."""
+    """Return a line for a message; a long one is reduced to the part around the change."""
     line, old = (text.strip().replace("\t", " ") for text in (line, old))
     if len(line) <= _SHOWN:
         return line

@@ -1,9 +1,8 @@
-"""From fixes to events: a hand comes to a target, leaves it, and selects it.
+"""From fixes to events: a hand enters a target, leaves it, and selects it.
 
-A target is selected by staying on it, or by a key. That whatever is passed over is selected as
-well, the Midas touch, is kept off in two ways: a target that has been selected is not selected
-again by staying on; and where the rig has a place to rest at, each selection by staying needs the
-hand to have come from there.
+A target is selected by dwelling on it, or by a key. Two rules prevent unintended selections (the
+Midas touch problem): a selected target is not selected again by continued dwelling; and if the rig
+has a place to rest at, the hand must have been there before each selection by dwelling.
 """
 
 from __future__ import annotations
@@ -16,18 +15,18 @@ from fingerpost.pointing import Fix
 from fingerpost.targets import Targets
 
 DEFAULT_DWELL_S = 1.0
-"""How long a hand stays on what it selects [s]."""
+"""Time to dwell on a target until it is selected [s]."""
 
 ENTERED, KEPT = 0.5, 0.25
-"""A target is come to with more than the first probability, and left with less than the second: at
-its border it is not come to and left all the time."""
+"""Probabilities above which a target is entered and below which it is left: the hysteresis prevents
+repeated events at its border."""
 
 GRACE_S = 0.3
-"""So long without a point, as behind another hand, is no leaving [s]."""
+"""Longest time without a point, as behind another hand, that does not leave a target [s]."""
 
 
 class EventKind(StrEnum):
-    """What has happened."""
+    """Kind of an event."""
 
     ENTER = "enter"
     LEAVE = "leave"
@@ -36,20 +35,20 @@ class EventKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that a hand has done with a target.
+    """A change of a hand's relation to a target.
 
     Attributes
     ----------
     time_s
-        Of the fix that shows it [s].
+        Time of the fix that causes it [s].
     event
-        What.
+        Kind of the event.
     target
         The target's name.
     probability
-        That it is pointed at.
+        Probability that the target is pointed at.
     by
-        What has selected it, "dwell" or "key"; else empty.
+        Means of selection, "dwell" or "key"; else empty.
     """
 
     time_s: float
@@ -59,19 +58,19 @@ class Event:
     by: str = ""
 
     def as_dict(self) -> dict[str, object]:
-        """Return it as it is written."""
+        """Return the event for JSON."""
         return asdict(self)
 
 
 class Selector:
-    """Makes events of fixes.
+    """Derives events from fixes.
 
     Parameters
     ----------
     targets
-        Those of the rig.
+        Targets of the rig.
     dwell_s
-        How long a hand stays on what it selects [s], above 0; None selects by key alone.
+        Time to dwell on a target until it is selected [s], above 0; None selects by key alone.
 
     Raises
     ------
@@ -95,7 +94,7 @@ class Selector:
         return self._current
 
     def update(self, fix: Fix) -> list[Event]:
-        """Take the next fix; return what has happened with it, in its order."""
+        """Process the next fix; return its events in order."""
         events: list[Event] = []
         if fix.point is not None:
             self._seen_s = fix.time_s
@@ -108,11 +107,11 @@ class Selector:
         return events
 
     def press(self, time_s: float) -> list[Event]:
-        """Select what the hand is at, as the key was pressed; nothing at none or at rest."""
+        """Select the current target by key; does nothing without one, or at a place to rest at."""
         return self._select(time_s, "key")
 
     def _at(self, fix: Fix) -> str | None:
-        """Tell where the hand is by a fix, and where it was."""
+        """Return the target that the hand is at, from a fix and the current target."""
         best = fix.target
         if best is not None and fix.targets[best] > ENTERED:
             return best
@@ -125,7 +124,7 @@ class Selector:
             self._since_s = time_s
             if before is not None:
                 events.append(Event(time_s, EventKind.LEAVE, before, self._probability))
-            # Where there is no place to rest at, whatever is come to anew may be selected.
+            # Without a place to rest at, every newly entered target may be selected.
             self._is_armed = (self._is_armed or to in self._rests) if self._rests else True
         self._probability = fix.targets.get(to, 0.0)
         if to is not None and to != before:

@@ -1,6 +1,6 @@
-"""From cameras or films to a rig: references and hand found in all views, no pixel typed.
+"""From cameras or films to a rig: detection of references and hand in all views.
 
-The main loop looks for both as it does in a run; here it stops as soon as they are there.
+The main loop searches for both as in a run; here it stops as soon as they are found.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ from fingerpost.recording.picture import Composition
 UNIT = "mm"
 
 DEFAULT_FRAMES = 300
-"""Frames of each view that are looked at."""
+"""Number of frames of each view to search."""
 
 SURE_FRAMES = 3
-"""A hand that has pointed in so many frames in a row is one."""
+"""Consecutive frames with a fix that confirm a hand."""
 
 
 class NotFoundError(FingerpostError):
-    """What a rig needs is not seen: the message says what, in which view, and what would help."""
+    """A required object is not found: the message names it, the view, and what would help."""
 
 
 @dataclass(frozen=True, eq=False)
 class SetUp:
-    """What was found.
+    """Result of the search.
 
     Attributes
     ----------
     rig
         The rig, with the reference points of all views and their covariances.
     picture
-        (H, W, 3) What was found, drawn into the frames, blue-green-red.
+        (H, W, 3) The frames with the results drawn into them, blue-green-red.
     lines
-        What was found in each view, for people.
+        Description of the results in each view, for people.
     without_hand
         Names of the views in which no hand was seen.
     """
@@ -58,7 +58,7 @@ class SetUp:
 
 
 def reference_of(words: str) -> RectangleReference | MarkersReference:
-    """Return the reference that a person means: a rectangle, or "markers" and the paper's size.
+    """Parse a description of a reference: a rectangle, or "markers" and the paper's size.
 
     Parameters
     ----------
@@ -77,12 +77,12 @@ def reference_of(words: str) -> RectangleReference | MarkersReference:
 
 
 def plane_size(words: str) -> Size:
-    """Return the size of a rectangle by what a person calls it: its name, or its sides in mm.
+    """Parse the size of a rectangle: its name, or its sides in mm.
 
     Raises
     ------
     InvalidInputError
-        Neither a name of `SIZES_MM` nor two lengths > 0, as "350x220".
+        Neither a name in `SIZES_MM` nor two lengths > 0, as "350x220".
     """
     if words.lower() in SIZES_MM:
         return words
@@ -108,11 +108,11 @@ def rig_of(
     Parameters
     ----------
     sources
-        Two or more, as a rig file has them; relative ones to the current directory.
+        Two or more sources, as in a rig file; relative paths start at the current directory.
     reference
-        What lies on the table in all views, as `reference_of` gives it.
+        Reference on the table in all views, as returned by `reference_of`.
     near_px
-        A pixel inside of the rectangle, by the name of the view.
+        A pixel inside the rectangle, by view name.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def _near(
 
 
 def view_names(sources: Sequence[str | int]) -> list[str]:
-    """Return a name for each source, by its file or folder where that is another one's, too."""
+    """Return unique names for the sources, from their files or folders, else by number."""
     files = [None if isinstance(s, int) or is_url(s) else Path(s) for s in sources]
     for name_of in (
         lambda path: path.stem,
@@ -175,14 +175,14 @@ def set_up(rig: Rig, frames: Iterator[Sequence[Frame | Loss | None]]) -> SetUp:
     Parameters
     ----------
     rig
-        As `rig_of` gives it.
+        As returned by `rig_of`.
     frames
-        As many as are to be looked at; those after the hand was found stay unread.
+        Frames to search; those after the hand was found are not read.
 
     Raises
     ------
     NotFoundError
-        References of a view that are in none of its frames.
+        The references of a view are in none of its frames.
     """
     pointer = Pointer(rig)
     best, most, in_a_row = None, -1, 0

@@ -1,4 +1,4 @@
-"""How a program ends: by which signals, while it is being loaded, and beside a stuck thread."""
+"""End of a program: its signals, an interrupt during imports, and threads that are stuck."""
 
 import os
 import signal
@@ -7,21 +7,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 STOPPED = 130
-"""Exit code of a program that Ctrl-C has ended: 128 and the signal's number, as shells have it."""
+"""Exit code of a program that Ctrl-C has ended: 128 plus the signal's number, as in shells."""
 
 ENDING_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
 )
-"""Those that end a program beside Ctrl-C's SIGINT."""
+"""Signals that end a program, other than Ctrl-C's SIGINT."""
 
 
 @contextmanager
 def ending_at_once() -> Iterator[None]:
-    """Let Ctrl-C end the program without a word, as long as nothing has been begun.
+    """Let Ctrl-C end the program silently before any work has begun.
 
-    For imports: an exception may come in the middle of one, where native modules turn it into
-    another or print it. Outside of the main thread, or where Ctrl-C does something else than to
-    raise KeyboardInterrupt, nothing is done.
+    For imports: an exception in the middle of one may be converted or printed by native modules.
+    Outside the main thread, or if Ctrl-C does not raise KeyboardInterrupt, nothing is changed.
     """
     raising = signal.default_int_handler
     if signal.getsignal(signal.SIGINT) is not raising:
@@ -42,10 +41,10 @@ _stuck: list[threading.Thread] = []
 
 
 def leave_behind(thread: threading.Thread) -> None:
-    """Note a thread that does not come back from native code, and will not be waited for."""
+    """Register a thread that does not return from native code, and will not be joined."""
     _stuck.append(thread)
 
 
 def is_anything_stuck() -> bool:
-    """Whether a thread that was left behind still runs."""
+    """Whether a registered thread still runs."""
     return any(thread.is_alive() for thread in _stuck)

@@ -1,13 +1,13 @@
-"""Where bodies above the plane appear in an image: the outline of capsules, as a union of discs.
+"""Silhouettes of capsules above the plane in an image, as unions of discs.
 
-A plane homography T and the camera's centre C fix the whole camera: a point Q at height h above
-the plane lies on the ray from C that meets the plane at F = (C_h Q − h C) / (C_h − h), so
+A plane homography T and the camera's centre C determine the whole camera: a point Q at height h
+above the plane lies on the ray from C that meets the plane at F = (C_h Q − h C) / (C_h − h), so
 
     image_from_space = T · [[C_h, 0, −C_x, 0], [0, C_h, −C_y, 0], [0, 0, −1, C_h]] / C_h
 
 (Hartley & Zisserman, Multiple View Geometry, 2nd ed., section 8.1.1). A capsule is a chain of
-spheres, and a sphere of radius r at Q appears as a disc about the image of Q with the radius of the
-image of r, exact to second order in r over the distance.
+spheres. The image of a sphere of radius r at Q is a disc about the image of Q, with the image of r
+as its radius, exact to second order in r over the distance.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 SPACING = 0.5
-"""Distance between the centres of a capsule's spheres [radii]; their union is then narrower than
-the capsule by 1 − √(1 − SPACING²/4) = 3 % at most."""
+"""Distance between the centres of a capsule's spheres [radii]; their union is narrower than the
+capsule by 1 − √(1 − SPACING²/4) = 3 % at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,14 +43,14 @@ class Capsule:
     radius: float
 
     def spheres(self) -> Array:
-        """Return spheres (N, 4) that cover it: centre and radius."""
+        """Return spheres (N, 4) that cover the capsule: centre and radius."""
         start, end = np.array(self.start), np.array(self.end)
         count = 1 + math.ceil(math.dist(self.start, self.end) / (SPACING * self.radius))
         shares = np.linspace(0.0, 1.0, count)[:, None]
         return np.column_stack([start + shares * (end - start), np.full(count, self.radius)])
 
     def distance(self, point: Array) -> float:
-        """Return how far a point (3,) is from the segment [plane units]."""
+        """Return the distance of a point (3,) from the segment [plane units]."""
         start = np.array(self.start)
         way = np.array(self.end) - start
         share = float((point - start) @ way) / max(float(way @ way), np.finfo(float).tiny)
@@ -88,19 +88,19 @@ class Silhouette:
 
     @classmethod
     def none(cls) -> Silhouette:
-        """Return the empty one."""
+        """Return the empty silhouette."""
         return cls(np.empty((0, 2)), np.empty(0))
 
     @classmethod
     def of(cls, capsules: Iterable[Capsule], camera_matrix: Array, centre: ArrayLike) -> Silhouette:
-        """Project capsules; what is behind the camera, or about its centre, has no image.
+        """Project capsules; spheres behind the camera, or around its centre, have no image.
 
         Parameters
         ----------
         capsules
             In plane coordinates.
         camera_matrix : (3, 4)
-            As `image_from_space` gives it.
+            As returned by `image_from_space`.
         centre : (3,)
             The camera's centre.
         """
@@ -113,7 +113,7 @@ class Silhouette:
         distance = np.linalg.norm(away, axis=1)
         seen = distance > 2.0 * radii
         centres, radii, away, distance = (a[seen] for a in (centres, radii, away, distance))
-        # Two directions across the ray: the image of a sphere is hardly wider than long.
+        # Two directions across the ray; the image of a sphere is nearly a circle.
         ray = away / np.maximum(distance, np.finfo(float).tiny)[:, None]
         across = np.cross(ray, np.eye(3)[np.argmin(np.abs(ray), axis=1)])
         across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -124,14 +124,14 @@ class Silhouette:
         return cls(at[ahead], radii_px[ahead])
 
     def covers(self, points_px: ArrayLike) -> NDArray[np.bool_]:
-        """Say which points (M, 2) [ideal px] lie in it: (M,)."""
+        """Return which points (M, 2) [ideal px] lie in the silhouette: (M,)."""
         points = np.asarray(points_px, dtype=float)
         apart = np.linalg.norm(points[:, None] - self.centres_px, axis=2)
         return np.asarray((apart <= self.radii_px).any(axis=1))
 
 
 def _projected(camera_matrix: Array, points: Array) -> tuple[Array, Array]:
-    """Return the image (N, 2) of points (N, 3), and their depths (N,), positive ahead."""
+    """Return the images (N, 2) of points (N, 3) and their depths (N,), positive in front."""
     image = points @ camera_matrix[:, :3].T + camera_matrix[:, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         return image[:, :2] / image[:, 2:], image[:, 2]

@@ -1,4 +1,4 @@
-"""A simulated rig as a rig file describes it: what experiments, the demo and tests start from."""
+"""Description of a simulated rig as a `Rig`, for experiments, the demo and tests."""
 
 from __future__ import annotations
 
@@ -20,21 +20,20 @@ def rig_from_simulation(
     lenses: Sequence[LensParameters | None] | None = None,
     sources: Sequence[str | int] | None = None,
 ) -> Rig:
-    """Describe a simulated rig as a person would who has measured it.
+    """Describe a simulated rig as if it had been measured.
 
     Parameters
     ----------
     simulated : SimulatedRig
         The simulation. Its plane is given exactly, in mm, and its views have the cameras' names.
     reference_points_px : sequence of array_like (N, 2), optional
-        Where somebody has found the reference points in each view [px]; exactly where they are
-        by default.
+        Measured reference points in each view [px]; the exact ones by default.
     starts : sequence of StartPose or None, optional
-        Where the templates wait; nowhere by default: the hand has to be found.
+        Start poses of the templates; none by default: the hand has to be found.
     lenses : sequence of LensParameters or None, optional
-        What is known of the lenses; nothing by default.
+        Known lenses; none by default.
     sources : sequence of str or int, optional
-        What would open the streams; the cameras' names by default, which nothing opens.
+        Sources of the streams; by default the cameras' names, which cannot be opened.
 
     Returns
     -------
@@ -44,9 +43,9 @@ def rig_from_simulation(
     Raises
     ------
     InvalidInputError
-        Reference points that are not finite or not as many as the plane has.
+        Reference points that are not finite, or whose number is not that of the plane's.
     ValueError
-        A sequence that is not as long as there are cameras.
+        A sequence whose length is not the number of cameras.
     """
     cameras = simulated.cameras
     nothing = [None] * len(cameras)

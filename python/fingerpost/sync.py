@@ -1,8 +1,8 @@
 """The offset between the clocks of a rig's views, from a film of a moving hand.
 
 The main loop follows the hand in every view; the motions of its tip in the views determine the
-offset of the clocks (`fingerpost.consistency.offset`). Views far apart in time hinder each other,
-so a large offset is set right and looked at once more.
+offset of the clocks (`fingerpost.consistency.offset`). A large offset impairs the tracking;
+therefore it is corrected, and the footage is followed again.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from fingerpost.pipeline import Pointer, steps
 from fingerpost.pointing import FingerLine
 
 ROUNDS = 3
-"""The footage is followed so often at most."""
+"""Largest number of times that the footage is followed."""
 
 SETTLED_S = 0.02
-"""Offsets that change by less have settled: so small a one hinders no view."""
+"""Largest change of a converged offset [s]; so small an offset does not impair the tracking."""
 
 Together = Sequence[Frame | Loss | None]
 
@@ -36,9 +36,9 @@ class Synced:
     Attributes
     ----------
     rig
-        With the `offset_s` of every view but the first set.
+        Rig with the `offset_s` of every view except the first set.
     offsets
-        By the view's name: what remained to be set right in the last round, and how sure it is.
+        By view name: the remaining offset in the last round, and its uncertainty.
     """
 
     rig: Rig
@@ -46,19 +46,20 @@ class Synced:
 
 
 def synchronise(rig: Rig, footage: Callable[[Rig], Iterable[Together]]) -> Synced:
-    """Set the clocks of a rig's views right, by a hand that moves in all of them.
+    """Synchronise the clocks of a rig's views by a hand that moves in all of them.
 
     Parameters
     ----------
     rig
         At least two views.
     footage
-        Plays its recordings, from the beginning, with the offsets of the rig that it is given.
+        Plays the recordings of the given rig from the beginning, with its offsets.
 
     Raises
     ------
     InvalidInputError
-        A rig that cannot point, or an offset that cannot be estimated; names the view and reason.
+        A rig that cannot point, or an offset that cannot be estimated; the message names the view
+        and the reason.
     """
     for _ in range(ROUNDS):
         with unannounced():
@@ -78,7 +79,7 @@ def synchronise(rig: Rig, footage: Callable[[Rig], Iterable[Together]]) -> Synce
 
 
 def _tips(pointer: Pointer, footage: Iterable[Together]) -> list[Track]:
-    """Follow the footage; return where each view has seen the tip."""
+    """Follow the footage; return the path of the tip in each view."""
     seen: list[list[tuple[float, ...]]] = [[] for _ in pointer.views]
     for step in steps(pointer, footage):
         first = step.observations[0].plane_view

@@ -1,9 +1,10 @@
-"""Things on the plane to point at, and how probably each of them is what is pointed at.
+"""Targets on the plane, and the probability that each is pointed at.
 
-A target is the neighbourhood of a point, or a polygon and its neighbourhood. Its probability is
-the share of the indicated point's normal distribution, the whole ellipse, that lies on it; the
-share that lies on no target is the probability of none of them. So of answers that are given with
-0.9 nine in ten are right, where people may point anywhere: at one place as likely as at another.
+A target is the neighbourhood of a point, or a polygon and its neighbourhood. Its probability is the
+integral of the indicated point's normal distribution over it; the integral over the rest of the
+plane is the probability that no target is meant. The probabilities are calibrated under a uniform
+prior: if people point at all places with equal probability, nine of ten targets reported with 0.9
+are right.
 """
 
 from __future__ import annotations
@@ -21,23 +22,23 @@ from fingerpost.errors import InvalidInputError
 Array = NDArray[np.float64]
 
 NODES = 2000
-"""The distribution is looked at in so many places: shares are known to 0.002 or so."""
+"""Number of nodes that represent the distribution: probabilities are accurate to about 0.002."""
 
 _GOLDEN_ANGLE_RAD = np.pi * (3.0 - np.sqrt(5.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A thing on the plane.
+    """A target on the plane.
 
     Parameters
     ----------
     name
-        What it is called.
+        Its name.
     corners : (N, 2)
-        One point, or three and more corners of a polygon, in plane units.
+        One point, or at least three corners of a polygon, in plane units.
     radius
-        How far it reaches beyond them [plane units]: above 0 for a point, 0 and more for a polygon.
+        Margin around them [plane units]: above 0 for a point, at least 0 for a polygon.
     rest
         Whether it is a place for the hand to rest at, where nothing is selected.
 
@@ -66,11 +67,11 @@ class Target:
             )
 
     def bounds(self) -> tuple[Array, Array]:
-        """Give the corners (2,) of the box that holds all of it, the lower ones first."""
+        """Return the lower and upper corner (2,) of the target's bounding box."""
         return self.corners.min(axis=0) - self.radius, self.corners.max(axis=0) + self.radius
 
     def reach(self, points: ArrayLike) -> Array:
-        """Tell how far points lie inside of the target [plane units]; below 0 outside.
+        """Return the signed distance of points to the border [plane units], negative outside.
 
         Parameters
         ----------
@@ -92,7 +93,7 @@ class Target:
 
 
 def _is_inside(corners: Array, points: Array) -> NDArray[np.bool_]:
-    """Tell which points a polygon holds: rays from them cross its sides an odd number of times."""
+    """Return which points a polygon contains: their rays cross its sides an odd number of times."""
     (x0, y0), (x1, y1) = corners.T, np.roll(corners, -1, axis=0).T
     x, y = points[:, :1], points[:, 1:]
     spans = (y0 > y) != (y1 > y)
@@ -107,7 +108,7 @@ class Targets:
     Parameters
     ----------
     targets
-        Where two overlap, a point is of that which it lies deeper in.
+        Where two overlap, a point belongs to the one in which it lies deeper.
     """
 
     def __init__(self, targets: Sequence[Target]) -> None:
@@ -124,7 +125,7 @@ class Targets:
         return len(self._targets)
 
     def at(self, points: ArrayLike) -> NDArray[np.int64]:
-        """Tell which target points lie on: its place, or −1.
+        """Return the index of the target on which each point lies, or −1.
 
         Parameters
         ----------
@@ -132,26 +133,26 @@ class Targets:
         """
         points = finite_array(points, "points", ("M", 2))
         is_near = (self._lowest <= points.max(axis=0)) & (self._highest >= points.min(axis=0))
-        near = np.flatnonzero(is_near.all(axis=1))  # most are far off a small ellipse
+        near = np.flatnonzero(is_near.all(axis=1))  # most are far from a small ellipse
         if not len(near):
             return np.full(len(points), -1)
         reaches = np.stack([self._targets[k].reach(points) for k in near])
         return np.where(reaches.max(axis=0) >= 0.0, near[reaches.argmax(axis=0)], -1)
 
     def probabilities(self, point: ArrayLike, covariance: ArrayLike) -> dict[str | None, float]:
-        """Tell how probably each target is pointed at; None stands for none of them.
+        """Return the probability that each target is pointed at; the key None means no target.
 
         Parameters
         ----------
         point : (2,)
             The indicated point [plane units].
         covariance : (2, 2)
-            Of it [plane units²].
+            Its covariance [plane units²].
 
         Returns
         -------
         dict
-            Sums up to 1; nothing at all without targets.
+            Sums to 1; empty without targets.
         """
         if not self._targets:
             return {}
@@ -165,7 +166,7 @@ class Targets:
 
 @cache
 def _normal_nodes() -> Array:
-    """Places of equal weight that stand for the standard normal distribution: a sunflower's."""
+    """Return nodes of equal weight for the standard normal distribution, on a sunflower spiral."""
     rank = (np.arange(NODES) + 0.5) / NODES
     radius, angle = np.sqrt(-2.0 * np.log1p(-rank)), np.arange(NODES) * _GOLDEN_ANGLE_RAD
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])

@@ -1,21 +1,21 @@
-"""How sure the indicated point is: covariances from reference points and finger lines to a fix.
+"""Uncertainty of the indicated point: covariances from reference points and finger lines to a fix.
 
-Everything is first order, with one exception where first order would flatter itself
+Propagation is first order, except where first order underestimates the covariance
 (`widened_covariance`). The chain, with ``h`` the entries of a view's homography ``T``:
 
 1. reference points → ``Σ_h = G Σ_points Gᵀ``, ``G`` the derivative of the least-squares estimate;
 2. finger line (offset, angle) → ``Σ_l = J Σ Jᵀ`` of the image line ``l``;
 3. constraint line ``m = Tᵀ l`` (Cipolla, Hadfield & Hollinghurst 1994, eq. 2):
    ``Σ_m = Tᵀ Σ_l T + (∂m/∂h) Σ_h (∂m/∂h)ᵀ``;
-4. the point X most likely to lie on N ≥ 2 constraint lines, which minimises
-   ``Σ (m·X~)² / (X~ᵀ Σ_m X~)``, the variances being those at X.
+4. maximum-likelihood intersection X of N ≥ 2 constraint lines, which minimises
+   ``Σ (m·X~)² / (X~ᵀ Σ_m X~)``, with the variances at X.
 
-Step 4 is the likelihood in the images written on the plane: with ``W`` of eq. 1,
+Step 4 is the likelihood of the images expressed on the plane: with ``W`` of eq. 1,
 ``m·X~ / W = l·x~`` is the distance in pixels between the reprojected point and the finger line, and
-``X~ᵀ Σ_m X~ / W²`` its variance there, which grows with the lever from the finger to the point.
+``X~ᵀ Σ_m X~ / W²`` its variance there, which increases with the distance from finger to point.
 
 The paper draws an ellipse "two standard deviations (95 %)" from the point; in two dimensions two
-standard deviations hold 86.5 %. `confidence_ellipse` uses the distribution of two dimensions;
+standard deviations contain 86.5 %. `confidence_ellipse` uses the two-dimensional distribution;
 `nsigma_ellipse` is the paper's recipe.
 """
 
@@ -32,29 +32,29 @@ from fingerpost.errors import InvalidInputError
 from fingerpost.homography import entries_from_reference_points
 from fingerpost.lines import normalised
 
-# No line is known better than its arithmetic: this share of the coordinates is the least standard
-# deviation a distance can have. It stands in for lines given as exact.
+# Least standard deviation of a distance [share of the coordinates], from rounding. It applies to
+# lines given as exact.
 _ROUNDING = 1e-12
 
 Constraint = tuple[float, float, float, float, float, float, float, float, float]
 """A constraint line ``(a, b, c)`` and the coefficients of xx, xy, x, yy, y and 1 in the variance of
-the distance of (x, y) from it: plain floats, with which a frame's few lines are many times faster
-than as arrays. `constraint` makes one."""
+the distance of (x, y) from it. For the few lines of a frame, plain floats are many times faster
+than arrays. `constraint` makes one."""
 
-# Variances further apart than this would only spoil the 2 × 2 system: next to a line a thousand
-# times surer the other's share in the weight is a millionth either way.
+# Least ratio of two variances. A larger range would only make the 2 × 2 system ill-conditioned: a
+# line with a thousand times the standard deviation has a millionth of the weight in either case.
 _LEAST_RATIO = 1e-6
 _TINY = float(np.finfo(np.float64).tiny)
 
-# Directions closer than this [rad] are parallel: beyond, the 2 × 2 system is singular to rounding.
+# Directions closer than this [rad] are parallel: the 2 × 2 system would be singular to rounding.
 _PARALLEL_RAD = 1e-7
 
 UNBOUNDED: NDArray[np.float64] = np.diag([np.inf, np.inf])
-"""Covariance of a point that nothing holds; not to be written to."""
+"""Covariance of an undetermined point; read-only."""
 UNBOUNDED.setflags(write=False)
 
-# Reweighting moves the point of N ≥ 3 views by a share of its own standard deviation; two or three
-# steps settle it. Two views meet exactly at the first.
+# Reweighting moves the point of N ≥ 3 views by a share of its standard deviation, and converges in
+# two or three steps. Two lines intersect exactly at the first.
 _MAX_ITERATIONS = 50
 _CONVERGED_SHARE = 1e-6
 
@@ -83,7 +83,7 @@ class Ellipse:
         return float(np.pi * self.semi_axes.prod())
 
     def polygon(self, count: int = 64) -> NDArray[np.float64]:
-        """Points on the ellipse at equal steps of its parameter, to be drawn.
+        """Return points on the ellipse at equal steps of its parameter, for drawing.
 
         Parameters
         ----------
@@ -117,14 +117,14 @@ class Ellipse:
         return np.asarray(np.hypot(*np.moveaxis(along / self.semi_axes, -1, 0)) <= 1.0)
 
     def _axes(self) -> NDArray[np.float64]:
-        """Give the unit vectors of the axes, as rows."""
+        """Return the unit vectors of the axes, as rows."""
         c, s = np.cos(self.angle_rad), np.sin(self.angle_rad)
         return np.array([[c, s], [-s, c]])
 
 
 @dataclass(frozen=True, eq=False)
 class Intersection:
-    """Where N constraint lines meet.
+    """Intersection of N constraint lines.
 
     Parameters
     ----------
@@ -143,31 +143,31 @@ class Intersection:
 
 
 UNDETERMINED = Intersection(np.full(2, np.nan), UNBOUNDED, 0.0)
-"""Where parallel lines meet; not to be written to."""
+"""Intersection of parallel lines; read-only."""
 UNDETERMINED.point.setflags(write=False)
 
 
 def homography_covariance(
     image_from_plane: ArrayLike, plane_points: ArrayLike, covariances_px2: ArrayLike
 ) -> NDArray[np.float64]:
-    """Covariance of an estimated homography from those of its reference points.
+    """Return the covariance of an estimated homography from those of its reference points.
 
     Parameters
     ----------
     image_from_plane : (3, 3)
-        As `fingerpost.homography.estimate_image_from_plane` gives it for the same points and
+        Result of `fingerpost.homography.estimate_image_from_plane` for the same points and
         covariances.
     plane_points : (N, 2)
         Reference points on the plane, known exactly.
     covariances_px2 : (2, 2), (N, 2, 2) or (2N, 2N)
-        Covariance of each image point [px²], positive definite; or of u and v of all of them, one
-        after the other, where they err together.
+        Covariance of each image point [px²], positive definite; or the joint covariance of u and v
+        of all points, in order, if their errors are correlated.
 
     Returns
     -------
     (9, 9)
-        Of the entries row by row, of rank 8: the scale of a homography means nothing, and entries
-        vary in the gauge of `fingerpost.homography.entries_from_reference_points`.
+        Covariance of the entries row by row, of rank 8: the scale of a homography is arbitrary, and
+        is fixed by the gauge of `fingerpost.homography.entries_from_reference_points`.
     """
     plane = finite_array(plane_points, "plane_points", ("N", 2))
     joint = np.shape(covariances_px2) == (2 * len(plane), 2 * len(plane))
@@ -184,14 +184,14 @@ def homography_covariance(
 
 
 def blocks_of(joint: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the covariance of each point alone, (N, 2, 2), of that of all of them, (2N, 2N)."""
+    """Return the covariance of each point, (N, 2, 2), from the joint covariance, (2N, 2N)."""
     count = len(joint) // 2
     k = np.arange(count)
     return np.asarray(joint.reshape(count, 2, count, 2)[k, :, k, :])
 
 
 def joint_of(blocks: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the covariance of all points, (2N, 2N), of that of each, (N, 2, 2)."""
+    """Return the joint covariance of independent points, (2N, 2N), from that of each, (N, 2, 2)."""
     count = len(blocks)
     joint = np.zeros((count, 2, count, 2))
     k = np.arange(count)
@@ -206,13 +206,13 @@ def constraint_lines(
     angle_rad: ArrayLike,
     covariance: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Constraint lines of finger lines, with covariances: finger line and homography counted.
+    """Return constraint lines, with covariances that include finger line and homography.
 
     Parameters
     ----------
     image_from_plane : (..., 3, 3)
     entries_covariance : (..., 9, 9)
-        Of the homography's entries; zero for one known exactly.
+        Of the homography's entries; zero if it is known exactly.
     anchor_px : (..., 2)
         A point of the finger line.
     angle_rad : (...)
@@ -225,8 +225,8 @@ def constraint_lines(
     lines : (..., 3)
         As `fingerpost.lines.constraint_line` of `fingerpost.lines.line_at_angle`.
     covariances : (..., 3, 3)
-        Theirs. For a point on a line ``X~ᵀ Σ X~`` is the variance of its distance [plane units²].
-        NaN, as the line, for the plane's horizon.
+        Of the lines. For a point on a line, ``X~ᵀ Σ X~`` is the variance of its distance [plane
+        units²]. NaN, as the line, for the plane's horizon.
     """
     T = finite_array(image_from_plane, "image_from_plane", (..., 3, 3))
     form = entries_form(entries_covariance)
@@ -246,14 +246,14 @@ def constraint_lines(
     return normalised(lines), covariances / np.where(scale > 0.0, scale, np.nan)[..., None, None]
 
 
-# Of the upper triangle row by row: the place of every entry of the symmetric 3 × 3 matrix.
+# Index of every entry of a symmetric 3 × 3 matrix in its upper triangle, row by row.
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 def entries_form(entries_covariance: ArrayLike) -> NDArray[np.float64]:
-    """Covariance of a homography's entries, as `constraint_components` takes it.
+    """Return the covariance of a homography's entries in the form for `constraint_components`.
 
-    With ``∂m/∂h = [a I, b I, c I]`` (the entries stand row by row, and l_i multiplies row i of T)
+    With ``∂m/∂h = [a I, b I, c I]`` (the entries are in row order, and l_i multiplies row i of T)
     the covariance ``(∂m/∂h) Σ_h (∂m/∂h)ᵀ`` is linear in the products of a, b and c.
 
     Parameters
@@ -273,7 +273,7 @@ def entries_form(entries_covariance: ArrayLike) -> NDArray[np.float64]:
 
 
 Numbers = Any
-"""A float, or an array of them: the arithmetic is the same."""
+"""A float or an array; the arithmetic is the same."""
 
 
 def constraint_components(
@@ -283,10 +283,10 @@ def constraint_components(
     direction: tuple[Numbers, Numbers],
     covariance: tuple[Numbers, Numbers, Numbers],
 ) -> tuple[tuple[Numbers, Numbers, Numbers], list[Numbers]]:
-    """Constraint line of a finger line and its covariance, entry by entry.
+    """Return the constraint line of a finger line and its covariance, entry by entry.
 
-    Steps 2 and 3 of the chain in one. A frame has a line or two, for which floats are many times
-    faster than arrays.
+    Steps 2 and 3 of the chain in one. For the few lines of a frame, floats are many times faster
+    than arrays.
 
     Parameters
     ----------
@@ -303,14 +303,14 @@ def constraint_components(
     Returns
     -------
     line
-        ``m = Tᵀ l_i``, of whatever scale it comes out.
+        ``m = Tᵀ l_i``, of arbitrary scale.
     covariance
         Upper triangle of its covariance at that scale, row by row.
     """
     (t11, t12, t13), (t21, t22, t23), (t31, t32, t33) = image_from_plane
     (u, v), (cos, sin), (offset, both, angle) = anchor_px, direction, covariance
-    # l_i = (−sin, cos, c); by the angle its derivative is (−cos, −sin, along), by the offset
-    # (0, 0, −1).
+    # l_i = (−sin, cos, c); its derivative is (−cos, −sin, along) by the angle, and (0, 0, −1) by
+    # the offset.
     c, along = sin * u - cos * v, cos * u + sin * v
     m1, m2, m3 = (
         cos * t21 - sin * t11 + c * t31,
@@ -341,24 +341,24 @@ def constraint_components(
 
 
 def intersect(lines: ArrayLike, covariances: ArrayLike) -> Intersection:
-    """Maximum-likelihood intersection of N ≥ 2 constraint lines.
+    """Return the maximum-likelihood intersection of N ≥ 2 constraint lines.
 
-    Gauss-Newton on ``Σ (m·X~)² / (X~ᵀ Σ_m X~)``, the variances taken at the current point: a far
-    point weighs a line by what its angle is worth out there. For two lines it is the point where
-    they meet.
+    Gauss-Newton on ``Σ (m·X~)² / (X~ᵀ Σ_m X~)`` with the variances at the current point: for a
+    distant point, the uncertainty of the angle reduces a line's weight. Two lines have their exact
+    intersection.
 
     Parameters
     ----------
     lines : (N, 3)
         Constraint lines with ``a² + b² = 1``.
     covariances : (N, 3, 3)
-        Theirs; zero for a line known exactly.
+        Of the lines; zero for a line known exactly.
 
     Returns
     -------
     Intersection
-        With a point of NaN if all lines are parallel to rounding, or so nearly that reweighting
-        does not settle.
+        Its point is NaN if all lines are parallel to rounding, or so nearly parallel that
+        reweighting does not converge.
 
     Raises
     ------
@@ -373,19 +373,19 @@ def intersect(lines: ArrayLike, covariances: ArrayLike) -> Intersection:
 
 
 def meeting_point(constraints: Sequence[Constraint]) -> Intersection:
-    """Do the work of `intersect`, on checked lines.
+    """Return the result of `intersect` for checked lines.
 
     Parameters
     ----------
     constraints
-        N ≥ 2 of them.
+        N ≥ 2 lines.
 
     Returns
     -------
     Intersection
     """
     x = y = 0.0
-    # At first all lines count alike; so the first step is from anywhere to where they about meet.
+    # In the first step, from any point to the approximate intersection, the weights are equal.
     residuals, variances = [line[2] for line in constraints], [1.0] * len(constraints)
     for iteration in range(_MAX_ITERATIONS + 1):
         solved = _solved(constraints, residuals, variances)
@@ -407,23 +407,22 @@ def meeting_point(constraints: Sequence[Constraint]) -> Intersection:
 def widened_covariance(
     lines: ArrayLike, covariances: ArrayLike, found: Intersection, distance: float
 ) -> NDArray[np.float64]:
-    """Covariance of an intersection that cannot be surer than a look from `distance` away.
+    """Return the covariance of an intersection, widened by the likelihood at `distance` from it.
 
-    When the lines are nearly parallel the point found is an accident, and so is the first-order
-    covariance at it, which looks at the angle between the lines as if it were known: the true
-    point may be several standard deviations off. So ask about the two points at `distance` on
-    either side along the weakest direction (the major axis), each shifted across it to where it
-    is most likely: by how many standard deviations ``z`` do the lines exclude them, with the
-    variances that hold out there? If by less than the major axis promises, the axis becomes
-    ``distance / z``. For two lines this is Fieller's interval of a quotient, whose ends run to
-    infinity when the divisor, the angle, is not significant.
+    Nearly parallel lines intersect at a random point. The first-order covariance at that point
+    treats the angle between the lines as known, and the true point may be several standard
+    deviations away. Therefore the two points at `distance` on either side along the major axis are
+    tested, each shifted across the axis to its most likely position: the lines exclude it by ``z``
+    standard deviations, with the variances at that point. If ``z`` is less than the major axis
+    implies, the axis becomes ``distance / z``. For two lines this is Fieller's interval of a
+    quotient, whose ends diverge if the divisor, the angle, is not significant.
 
     Parameters
     ----------
     lines, covariances
         As given to `intersect`.
     found
-        What it answered.
+        Result of `intersect`.
     distance
         Plane units, > 0.
 
@@ -442,12 +441,12 @@ def widened_covariance(
 def widened(
     constraints: Sequence[Constraint], found: Intersection, distance: float
 ) -> NDArray[np.float64]:
-    """Do the work of `widened_covariance`, on checked lines.
+    """Return the result of `widened_covariance` for checked lines.
 
     Parameters
     ----------
     constraints
-        N ≥ 2 of them.
+        N ≥ 2 lines.
     found, distance
         As for `widened_covariance`.
 
@@ -483,7 +482,7 @@ def widened(
 def confidence_ellipse(
     point: ArrayLike, covariance: ArrayLike, confidence: float = 0.95
 ) -> Ellipse:
-    """Ellipse that holds the true point with a given probability.
+    """Return the ellipse that contains the true point with a given probability.
 
     Parameters
     ----------
@@ -513,12 +512,12 @@ def nsigma_ellipse(
     covariance: ArrayLike,
     nsigma: float = 2.0,
 ) -> Ellipse:
-    """Draw the paper's ellipse: ±2σ perturbations of each finger line, projected onto the plane.
+    """Return the paper's ellipse: ±2σ perturbations of each finger line, projected onto the plane.
 
     Position and orientation of each line are perturbed in turn by ``± nsigma`` of their standard
-    deviations; the displacements of the intersection add up as independent. Left as the paper has
-    it: their correlation and the uncertainty of the reference points are not counted, and at
-    ``nsigma = 2`` the ellipse of a normal distribution holds 86.5 %.
+    deviations; the displacements of the intersection are added as independent. As in the paper,
+    their correlation and the uncertainty of the reference points are neglected, and at
+    ``nsigma = 2`` the ellipse of a normal distribution contains 86.5 %.
 
     Parameters
     ----------
@@ -527,7 +526,7 @@ def nsigma_ellipse(
     anchor_px : (N, 2)
     angle_rad : (N,)
     covariance : (N, 2, 2)
-        Of (offset [px], angle [rad]) at the anchor.
+        Covariance of (offset [px], angle [rad]) at the anchor.
     nsigma
         Size of the perturbations in standard deviations, > 0.
 
@@ -540,7 +539,7 @@ def nsigma_ellipse(
     ------
     InvalidInputError
         Fewer than two views, other shapes, NaN, or lines that are parallel, as measured or when
-        perturbed: the recipe has no ellipse for them.
+        perturbed: the recipe defines no ellipse for them.
     """
     T = finite_array(image_from_plane, "image_from_plane", ("N", 3, 3))
     anchor = finite_array(anchor_px, "anchor_px", (len(T), 2))
@@ -571,7 +570,7 @@ def nsigma_ellipse(
 
 
 def constraint(line: Sequence[float], covariance: Sequence[float]) -> Constraint | None:
-    """Scale what `constraint_components` gives in floats; None for the plane's horizon."""
+    """Scale the result of `constraint_components` for floats; None for the plane's horizon."""
     a, b, c = line
     length = math.hypot(a, b)
     if not length > _TINY * abs(c):
@@ -581,14 +580,14 @@ def constraint(line: Sequence[float], covariance: Sequence[float]) -> Constraint
 
 
 def line_and_covariance(line: Constraint) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Constraint line, (3,), and its covariance, (3, 3), as arrays."""
+    """Return a constraint line, (3,), and its covariance, (3, 3), as arrays."""
     a, b, c, xx, xy, x1, yy, y1, one = line
     xy, x1, y1 = xy / 2, x1 / 2, y1 / 2
     return np.array([a, b, c]), np.array([[xx, xy, x1], [xy, yy, y1], [x1, y1, one]])
 
 
 def largest_sigma(covariance: NDArray[np.float64]) -> float:
-    """Give the standard deviation where it is largest; infinite if nothing bounds the point."""
+    """Return the largest standard deviation in any direction; infinite for `UNBOUNDED`."""
     (xx, xy), (_, yy) = covariance.tolist()
     return math.sqrt(_principal_axes(xx, xy, yy)[1])
 
@@ -603,10 +602,10 @@ def _constraints(lines: NDArray[np.float64], covariances: NDArray[np.float64]) -
 
 
 def _of_unit_normal(line: Constraint) -> Constraint:
-    """Give a line the covariance that it has as (a, b, c) with a² + b² = 1.
+    """Return a line with the covariance of (a, b, c) under the condition a² + b² = 1.
 
-    On the line, the distance of a point from it has the same variance whatever changes the scale of
-    (a, b, c), which moves no line. Off the line such changes would count as if they did.
+    A change of the scale of (a, b, c) does not move the line. It does not affect the variance of a
+    point's distance on the line; off the line, it would be counted as a motion of the line.
     """
     a, b, c, xx, xy, x1, yy, y1, one = line
     xy, x1, y1 = xy / 2.0, x1 / 2.0, y1 / 2.0
@@ -630,7 +629,7 @@ def _of_unit_normal(line: Constraint) -> Constraint:
 def _distances(
     constraints: Sequence[Constraint], x: float, y: float
 ) -> tuple[list[float], list[float]]:
-    """Distances of a point from lines, and the variances of these distances."""
+    """Return the distances of a point from lines, and the variances of these distances."""
     residuals = [line[0] * x + line[1] * y + line[2] for line in constraints]
     variances = [
         (xx * x + xy * y + x1) * x + (yy * y + y1) * y + one
@@ -643,7 +642,7 @@ def _distances(
 def _solved(
     constraints: Sequence[Constraint], residuals: Sequence[float], variances: Sequence[float]
 ) -> tuple[float, float, float, float, float] | None:
-    """Step (x, y) that leads away from a point, and its covariance (xx, xy, yy).
+    """Return the step (x, y) to subtract from a point, and its covariance (xx, xy, yy).
 
     None if the lines are parallel to rounding.
     """
@@ -660,7 +659,7 @@ def _solved(
 
 
 def _principal_axes(xx: float, xy: float, yy: float) -> tuple[float, float, float, float]:
-    """Variances of a covariance, the smaller first, and the larger one's direction."""
+    """Return the principal variances, the smaller first, and the direction of the larger one."""
     half, mean = math.hypot((xx - yy) / 2, xy), (xx + yy) / 2
     angle = math.atan2(2.0 * xy, xx - yy) / 2
     return max(mean - half, 0.0), mean + half, math.cos(angle), math.sin(angle)

@@ -1,8 +1,8 @@
-"""Work shared out among processes, which end with the program that has started them.
+"""Distribution of work to processes that end with the program that started them.
 
-However a program ends, also by a signal that it never hears, its workers are gone a moment later,
-in the middle of their work: each holds one end of a pipe whose other end the program alone has, and
-the system closes that with it.
+However the program ends, even by a signal that it cannot handle, its workers exit at once: each
+holds one end of a pipe. Only the program has the other end, and the system closes it when the
+program ends.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fingerpost.signals import ENDING_SIGNALS
 
 
 def worker_count(workers: int | None) -> int:
-    """Return how many processes to use; None stands for all cores.
+    """Return the number of processes to use; None means all cores.
 
     Raises
     ------
@@ -40,17 +40,17 @@ def worker_count(workers: int | None) -> int:
 def sharing(
     workers: int, start: Callable[..., None] | None = None, *given: Any
 ) -> Iterator[Executor]:
-    """Start processes afresh ("spawn"); what waits when this ends is not done any more.
+    """Start processes by "spawn"; tasks that are still queued at the end are cancelled.
 
-    Where it ends with an exception, such as the KeyboardInterrupt of Ctrl-C, what the workers are
-    at is not waited for.
+    If the context ends with an exception, such as the KeyboardInterrupt of Ctrl-C, running tasks
+    are not awaited.
 
     Parameters
     ----------
     workers
-        How many, ≥ 1.
+        Number of processes, ≥ 1.
     start
-        Called with `given` in each of them before its first work; None calls nothing.
+        Called with `given` in each process before its first task; None calls nothing.
 
     Raises
     ------
@@ -58,37 +58,37 @@ def sharing(
         A worker died.
     """
     context = get_context("spawn")
-    heard, held = context.Pipe(duplex=False)
-    with heard, held:
-        # Pickled here, so that a worker listens before it imports what these are made of.
+    receiver, sender = context.Pipe(duplex=False)
+    with receiver, sender:
+        # Pickled here, so that a worker watches its pipe before it imports their modules.
         given_start = pickle.dumps((start, given))
         with held_back():
             pool = _Pool(
-                workers, mp_context=context, initializer=_start, initargs=(heard, given_start)
+                workers, mp_context=context, initializer=_start, initargs=(receiver, given_start)
             )
         try:
             yield pool
         except BrokenProcessPool as error:
-            held.close()
+            sender.close()
             raise FingerpostError(
                 "a worker process died, perhaps for want of memory; try fewer workers"
             ) from error
         except BaseException:
-            held.close()
+            sender.close()
             raise
         finally:
             pool.shutdown(cancel_futures=True)
 
 
 class _Pool(ProcessPoolExecutor):
-    """Workers that leave it to the program what a signal to all of them means."""
+    """Workers that leave the handling of signals to the program."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Hand work to a worker, and start one if there are fewer than there may be."""
+        """Submit a task to a worker, and start one if there are fewer than allowed."""
         with held_back():
             future = super().submit(fn, *args, **kwargs)
-        # A worker that has just been started is watched only from the manager's next waking on:
-        # of one that is killed at once it would never hear, and all would wait for ever.
+        # The manager thread watches a new worker only after its next wake-up: the death of one that
+        # is killed before would remain undetected, and all would wait for ever.
         with self._shutdown_lock:
             self._executor_manager_thread_wakeup.wakeup()
         return future
@@ -96,11 +96,11 @@ class _Pool(ProcessPoolExecutor):
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Have processes that are started meanwhile never hear what ends programs.
+    """Start processes, meanwhile, with the signals blocked that end programs.
 
-    A terminal sends Ctrl-C, and a service manager what it ends by, to a program and its workers
-    alike. What a process has blocked as it starts another is blocked there for good, from before
-    its first import; here it comes a moment later.
+    A terminal sends Ctrl-C, and a service manager its signal, to a program and its workers. A child
+    inherits the blocked signals of its parent permanently, from before its first import; in this
+    process they are delivered when the context ends.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -112,23 +112,23 @@ def held_back() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _start(heard: Connection, given_start: bytes) -> None:
-    threading.Thread(target=_end_with, args=(heard,), daemon=True).start()
-    for library in ("OPENBLAS", "MKL", "OMP", "VECLIB_MAXIMUM"):  # asked when NumPy is imported
+def _start(receiver: Connection, given_start: bytes) -> None:
+    threading.Thread(target=_end_with, args=(receiver,), daemon=True).start()
+    for library in ("OPENBLAS", "MKL", "OMP", "VECLIB_MAXIMUM"):  # read when NumPy is imported
         os.environ[f"{library}_NUM_THREADS"] = "1"
     import cv2
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where it cannot be blocked
-    cv2.setNumThreads(1)  # the workers share the cores among themselves, and so does what draws:
+    cv2.setNumThreads(1)  # one core per worker, also for the software renderer:
     os.environ.setdefault("LP_NUM_THREADS", "1")
     start, given = pickle.loads(given_start)
     if start is not None:
         start(*given)
 
 
-def _end_with(heard: Connection) -> None:
-    """Wait until the program has closed its end of the pipe, or is gone; then end the process."""
+def _end_with(receiver: Connection) -> None:
+    """Wait until the program has closed its end of the pipe or ended; then end the process."""
     try:
-        heard.poll(None)
+        receiver.poll(None)
     finally:
         os._exit(1)

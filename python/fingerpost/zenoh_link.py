@@ -1,7 +1,7 @@
-"""Sessions of zenoh that reach no further than they are asked to, and what stands under which key.
+"""Zenoh sessions with a single end point, and the keys of their messages.
 
-Left to itself zenoh listens on every interface and looks for others by multicast. Here a session
-has one end point, which it connects to or listens at, and no scouting of any kind.
+By default zenoh listens on every interface and discovers peers by multicast. Here a session has one
+end point, to which it connects or at which it listens, and no scouting of any kind.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ if TYPE_CHECKING:
     import zenoh
 
 DEFAULT_PORT = 7447
-"""Where zenoh's routers listen."""
+"""Default port of zenoh's routers."""
 
 _STAMP = struct.Struct("<qq")
 _NOT_IN_KEYS = re.compile(r"[/*$?#\s]")
 
 
 def open_session(host: str, port: int, *, listens: bool) -> zenoh.Session:
-    """Open a session; close it in the end, or the program does not end.
+    """Open a session; it must be closed, or the program does not end.
 
     Parameters
     ----------
     host, port
         The end point, by TCP.
     listens
-        Whether to wait there for others; to connect to a router, or to who listens, if not.
+        Whether to listen there; otherwise connect to a router or a listening peer.
 
     Raises
     ------
     CaptureError
-        Nobody answers there, or nothing can listen there.
+        Nobody answers there, or the port cannot be listened at.
     MissingExtraError
         The extra `net` is not installed.
     """
@@ -51,7 +51,7 @@ def open_session(host: str, port: int, *, listens: bool) -> zenoh.Session:
         "connect/timeout_ms": "0",
         "scouting/multicast/enabled": "false",
         "scouting/gossip/enabled": "false",
-        # A lost peer is tried again at this pace.
+        # Intervals at which a lost peer is tried again.
         "connect/retry": "{period_init_ms: 200, period_max_ms: 2000, period_increase_factor: 1.5}",
     }
     config = library.Config()
@@ -73,35 +73,35 @@ def _failure(said: str, place: str, *, listens: bool) -> str:
 
 
 def image_key(prefix: str, view: str) -> str:
-    """Return the key of a view's pictures: JPEG, with a stamp attached."""
+    """Return the key of a view's images: JPEG, with a stamp attached."""
     return f"{prefix}/{re.sub(_NOT_IN_KEYS, '_', view)}/image"
 
 
 def clock_key(prefix: str) -> str:
-    """Return the key that is asked for the time by which pictures are stamped."""
+    """Return the key under which the clock of the stamps is queried."""
     return f"{prefix}/clock"
 
 
 def stamp(index: int, time_ns: int) -> bytes:
-    """Return what is attached to a picture: its index, and its capture time by the sender's clock.
+    """Return the attachment of an image: its index and its capture time by the sender's clock.
 
     Parameters
     ----------
     index
-        In its source.
+        Index in the source.
     time_ns
-        [ns]
+        Capture time [ns].
     """
     return _STAMP.pack(index, time_ns)
 
 
 def read_stamp(attached: bytes) -> tuple[int, int]:
-    """Undo `stamp`.
+    """Invert `stamp`.
 
     Raises
     ------
     CaptureError
-        It is none.
+        The attachment is not a stamp.
     """
     try:
         index, time_ns = _STAMP.unpack(attached)

@@ -1,13 +1,13 @@
-"""Golden tracks: what every view and every fix of some clips was, to the last bit.
+"""Golden tracks: the tracks of every view and the fixes of some clips, to the last bit.
 
-    python tests/golden/generate_tracks.py            # compares with tracks.json beside itself
-    python tests/golden/generate_tracks.py --record   # writes it anew, for a change that means to
+    python tests/golden/generate_tracks.py            # compare with tracks.json in its folder
+    python tests/golden/generate_tracks.py --record   # write it, after an intended change
 
-A change that is to change no figure keeps every hash. A hash covers all numbers that a step gives,
-with 17 digits: fixes, finger lines, shape vectors, contours, diagnostics, camera motion; words for
-people are left out. The same bits are promised by one build on one kind of processor with the same
-NumPy and OpenCV, which round by their own kernels; so the points are kept too, to be compared
-where one of these differs.
+A change that must not alter results keeps every hash. A hash covers all numbers of every step with
+17 digits: fixes, finger lines, shape vectors, contours, diagnostics, camera motion; messages are
+left out. Bits are reproducible only by one build on one kind of processor with the same NumPy and
+OpenCV, whose kernels round differently; so the points are stored too, for comparison where one of
+these differs.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ FRAMES = 60
 SEED = 1994
 FPS = 30.0
 COMES_FROM_MM = 500.0
-"""Out of every view."""
+"""Distance from which the hand enters, out of every view."""
 
 Image = NDArray[np.uint8]
 Channels = Literal["grey", "bgr"]
@@ -63,7 +63,7 @@ Together = tuple[Frame | None, ...]
 
 @dataclass(frozen=True)
 class Clip:
-    """Some frames and a rig, and how they are followed."""
+    """A rig, its frames, and the options of the pointer."""
 
     rig: Rig
     frames: Iterable[Together]
@@ -72,7 +72,7 @@ class Clip:
 
 @dataclass
 class Golden:
-    """What a clip gave: a hash of all numbers, and the points in short."""
+    """Results of a clip: a hash of all numbers, and the points."""
 
     sha256: str
     points: list[list[float] | None]
@@ -89,7 +89,7 @@ def footage(
     frames: int = FRAMES,
     **options: Any,
 ) -> Clip:
-    """Return a recording, with its start or to be found, and its images changed."""
+    """Return a recording, with or without its start, its images changed by `shown`."""
     rig = Rig.load(rig_file)
     if not with_start:
         found = tuple(structs.replace(view, start=None) for view in rig.views)
@@ -108,12 +108,12 @@ def _read(rig: Rig, shown: Callable[[Image, int], Image], count: int) -> Iterato
 
 
 def grey(image: Image, _: int) -> Image:
-    """Take the colours away."""
+    """Return the grey levels of a colour image."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
 
 def moved(image: Image, index: int) -> Image:
-    """Show it as a camera does that is pushed and turned a little from frame to frame."""
+    """Return an image as of a camera that moves and turns a little from frame to frame."""
     height, width = image.shape[:2]
     turn = cv2.getRotationMatrix2D((width / 2, height / 2), 2.0 * math.sin(index / 9), 1.0)
     turn[:, 2] += (12.0 * math.sin(index / 7), 8.0 * math.sin(index / 11))
@@ -121,7 +121,7 @@ def moved(image: Image, index: int) -> Image:
 
 
 def simulated(placement: Placement, channels: Channels, *, with_start: bool) -> Clip:
-    """Return a hand that comes, points along half of an eight and stays, before a wooden table."""
+    """Return a hand that enters, points along half a figure of eight and rests, over wood."""
     rig = SimulatedRig(
         placement,
         device=Hand(),
@@ -169,11 +169,11 @@ FOOTAGE: dict[str, Callable[[], Clip]] = {
 PHOTOGRAPHS = "ti1k"
 
 
-# --- what is kept ---------------------------------------------------------------------------------
+# --- results --------------------------------------------------------------------------------------
 
 
 def golden(clip: Clip) -> Golden:
-    """Follow a clip; return what came of it."""
+    """Track a clip; return its results."""
     digest, points = hashlib.sha256(), []
     for step in steps(Pointer(clip.rig, **clip.options), clip.frames):
         _add(digest, of_step(step))
@@ -182,7 +182,7 @@ def golden(clip: Clip) -> Golden:
 
 
 def golden_photographs() -> Golden:
-    """Follow the finger of the photographs, which bends in the end, in one view; tips are kept."""
+    """Track the finger of the photographs, which bends at the end, in one view; keep its tips."""
     folder = DATA / "ti1k"
     with (folder / "axis.csv").open() as file:
         axes = {int(row["frame"][-8:-4]): row for row in csv.DictReader(file)}
@@ -203,14 +203,14 @@ def golden_photographs() -> Golden:
 
 
 def made(name: str) -> Golden:
-    """Make the golden data of one clip."""
+    """Compute the golden data of one clip."""
     if name == PHOTOGRAPHS:
         return golden_photographs()
     return golden((SIMULATED | FOOTAGE)[name]())
 
 
 def names() -> list[str]:
-    """All clips that can be made here: footage may be absent."""
+    """Return the clips that are available here: footage may be absent."""
     return [*SIMULATED, *([*FOOTAGE, PHOTOGRAPHS] if DATA.is_dir() else [])]
 
 
@@ -219,14 +219,14 @@ def _add(digest: Any, values: Iterable[Any]) -> None:
 
 
 def written(value: Any) -> str:
-    """Write a value so that its last bit shows."""
+    """Format a value with all its digits."""
     if value is None or isinstance(value, str | bool | int):
         return str(value)
     return " ".join(f"{number:.17g}" for number in np.asarray(value, dtype=np.float64).ravel())
 
 
 def of_step(step: Step) -> Iterator[Any]:
-    """Give all numbers of a step."""
+    """Yield all numbers of a step."""
     fix = step.fix
     yield from (step.index, fix.time_s, fix.status.value, fix.point, fix.covariance)
     yield from (fix.crossing_angle_rad, step.hand.number, step.hand.is_presented)
@@ -266,7 +266,7 @@ def _of_track(track: Track) -> Iterator[Any]:
 
 
 def environment() -> dict[str, str]:
-    """What the bits rest on beside fingerpost itself."""
+    """Return what the bits depend on besides fingerpost itself."""
     return {
         "numpy": np.__version__,
         "opencv": cv2.__version__,
@@ -281,7 +281,7 @@ def recorded() -> dict[str, Any]:
 
 
 def record() -> None:
-    """Write the file anew, from every clip there is."""
+    """Write the file from all clips."""
     if not DATA.is_dir():
         sys.exit(f"{DATA} is needed to record: the footage")
     clips = {}

@@ -1,4 +1,4 @@
-"""What the tests of guidance share."""
+"""Fixtures of the guidance tests."""
 
 import pytest
 from guided_process import write_hand
@@ -6,7 +6,7 @@ from guided_process import write_hand
 
 @pytest.fixture(scope="session")
 def hand_film(tmp_path_factory):
-    """A folder with a hand that points at one place and then at another."""
+    """A recording of a hand that points at one place and then at another."""
     folder = tmp_path_factory.mktemp("hand")
     write_hand(folder, 7.5)
     return folder

@@ -1,4 +1,4 @@
-"""G-code arms on emulated controllers whose time runs fast."""
+"""G-code arms on emulated controllers in accelerated time."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from fingerpost.robot.gcode_dialects import DEXARM, MARLIN, UARM, Dialect
 from fingerpost.robot.protocol import Pose
 
 REPLY_S = 0.3
-"""Time-out of one answer, in our time: short, so that silence costs tests little."""
+"""Time-out of one answer in real time; short, so that tests of silent lines stay fast."""
 
 BOX = {"lower_m": (-0.3, -0.3, -0.1), "upper_m": (0.32, 0.32, 0.2), "max_speed_m_s": 0.2}
 GOAL, FAR = Pose(0.22, 0.1, 0.05), Pose(0.05, 0.24, 0.05)
-"""In reach of all of them."""
+"""In reach of all arms."""
 
 ARMS: dict[str, tuple[Dialect, Callable[[], GcodeController]]] = {
     "marlin": (MARLIN, lambda: MarlinController(homing_s=1.0)),
@@ -49,7 +49,7 @@ class Rig:
 
     @property
     def plugged(self) -> bool:
-        """Whether the cable is in."""
+        """Whether the cable is plugged in."""
         return bool(self.port.descriptors())
 
     @property
@@ -59,33 +59,33 @@ class Rig:
 
     @property
     def stop_bytes(self) -> bytes:
-        """What a stop is known by on the line."""
+        """The bytes that identify a stop on the line."""
         return b"\x18" if isinstance(self.controller, UarmController) else b"M410"
 
     def random_goal(self, rng: np.random.Generator) -> Pose:
-        """A pose in reach of all of them."""
+        """Draw a pose in reach of all arms."""
         return Pose(rng.uniform(0.05, 0.2), rng.uniform(0.2, 0.25), rng.uniform(0.01, 0.08))
 
     def true_pose(self) -> Pose:
-        """Where the hand really is."""
+        """Return the true pose of the emulated arm."""
         return Pose(*(float(value) for value in self.true_m()))
 
     def true_m(self) -> np.ndarray:
-        """Where the hand really is."""
+        """Return the true position of the emulated arm [m]."""
         return self.controller.position_mm(self.clock()) / 1000
 
     def assert_at(self, goal: Pose) -> None:
-        """It is where it was sent, as near as a standstill can be told, and stands there."""
+        """Assert arrival within the tolerance of a standstill, and then a standstill there."""
         assert np.linalg.norm(self.true_m() - goal.position_m) <= ArrivalRule().still_m
         wait_until(lambda: not self.is_moving())
         np.testing.assert_allclose(self.true_m(), goal.position_m, atol=1e-5)
 
     def is_moving(self) -> bool:
-        """Whether the arm really moves."""
+        """Return whether the emulated arm moves."""
         return self.controller.is_moving(self.clock())
 
     def sent(self) -> list[str]:
-        """What the driver has sent, transfer by transfer."""
+        """Return the text of every transfer that the driver has sent."""
         return [data.decode("latin-1") for way, data in self.tape.transfers if way == "out"]
 
 
@@ -130,7 +130,7 @@ def gcode_rig(
 
 
 def wait_until(true: Callable[[], bool]) -> None:
-    """Wait for something that a crowded machine may delay."""
+    """Wait for a condition that a loaded machine may delay."""
     end_s = time.monotonic() + 5.0
     while not true():
         assert time.monotonic() < end_s

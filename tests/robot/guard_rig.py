@@ -1,4 +1,4 @@
-"""A simulated robot behind a guard, on a clock that only waiting moves."""
+"""A simulated robot behind a guard, on a simulated clock that only `sleep` advances."""
 
 from contextlib import contextmanager
 

@@ -1,4 +1,4 @@
-"""A table, two cameras and an arm's gripper, drawn, to find the robot's plane from."""
+"""A rendered scene to estimate the robot's plane from: table, two cameras, an arm's gripper."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fingerpost.capture import Frame
 from fingerpost.config import Plane, Rig, RobotTable, View
 from fingerpost.simulate import DevicePose, RodAndProng, SimulatedRig
 
-# The robot stands beside the table, turned: world (mm) from the robot's frame (m).
+# The robot stands beside the table, rotated about the vertical: world (mm) from robot frame (m).
 TURN_RAD = math.radians(20.0)
 ROBOT_ORIGIN_MM = np.array([-250.0, 60.0, 0.0])
 
@@ -22,7 +22,7 @@ REGION_M = ((0.34, -0.02), (0.52, -0.02), (0.52, 0.2), (0.34, 0.2))
 Z_M = (0.005, 0.25)
 HEIGHT_M = 0.02
 
-# A world point as each camera sees it, for a marker or a gripper anywhere.
+# Two cameras that project any world point, of a marker or of a gripper.
 RIG = SimulatedRig()
 NAMES = ("left", "right")
 NOWHERE_PX = ((0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0))
@@ -34,13 +34,13 @@ TILT_RAD = math.radians(40.0)
 
 
 def table(**changes) -> RobotTable:
-    """The robot's table of a rig."""
+    """Return the [robot] table of a rig file."""
     fields = {"url": "sim://", "height_m": HEIGHT_M, "region_m": REGION_M, "z_m": Z_M}
     return RobotTable(**{**fields, **changes})
 
 
 def cameras() -> Rig:
-    """The views of a rig whose plane nobody has defined."""
+    """Return a rig whose plane is not yet defined."""
     return Rig(
         plane=Plane(unit="mm", points=NOWHERE_PX),
         views=tuple(
@@ -51,25 +51,25 @@ def cameras() -> Rig:
 
 
 def world_mm(position_m) -> np.ndarray:
-    """Points of the robot's frame (..., 3) in the world."""
+    """Transform points of the robot's frame (..., 3) [m] to the world [mm]."""
     c, s = math.cos(TURN_RAD), math.sin(TURN_RAD)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return ROBOT_ORIGIN_MM + 1000.0 * np.asarray(position_m) @ R.T
 
 
 def pixel(view: int, position_m) -> np.ndarray:
-    """Where a camera sees points of the robot's frame."""
+    """Project points of the robot's frame into a view [px]."""
     return RIG.cameras[view].project(world_mm(position_m))
 
 
 def draw_gripper(position_m, rng=None) -> list[np.ndarray]:
-    """Both views of the table with a rod straight down on a point of the robot's frame."""
+    """Render both views with a vertical rod whose tip is at a point of the robot's frame."""
     pose = DevicePose(tuple(world_mm(position_m)), azimuth_deg=0.0, slant_deg=89.0)
     return list(RIG.render(pose, rng=rng, device=GRIPPER).images)
 
 
 def draw_marker(position_m, *, centre_m=(0.0, 0.0, 0.0), tilt_rad=TILT_RAD) -> list:
-    """Both views of the table with a marker; its centre is off the gripper's tip by `centre_m`."""
+    """Render both views with a marker, its centre offset from the gripper's tip by `centre_m`."""
     marker = cv2.aruco.generateImageMarker(
         cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), 3, 60
     )
@@ -85,7 +85,7 @@ def draw_marker(position_m, *, centre_m=(0.0, 0.0, 0.0), tilt_rad=TILT_RAD) -> l
         image = np.full((camera.height_px, camera.width_px), 90, np.uint8)
         images.append(image)
         if (last <= first).any():
-            continue  # out of sight
+            continue  # outside the image
         scale = 4
         fine = scale * (corners - first + 0.5) - 0.5
         H = cv2.getPerspectiveTransform(plate_px.astype(np.float32), fine.astype(np.float32))
@@ -99,9 +99,9 @@ def draw_marker(position_m, *, centre_m=(0.0, 0.0, 0.0), tilt_rad=TILT_RAD) -> l
 
 
 def marker_corners(size=1.0, tilt_rad=TILT_RAD) -> np.ndarray:
-    """Corners of the marker about its centre, in OpenCV's order, in the robot's axes [m].
+    """Return the marker's corners relative to its centre, in OpenCV's order and robot axes [m].
 
-    It leans back from the vertical by the tilt and faces the world's negative Y, where the cameras
+    The marker is tilted back from the vertical and faces the world's negative Y, where the cameras
     are.
     """
     c, s = math.cos(-TURN_RAD), math.sin(-TURN_RAD)
@@ -113,7 +113,7 @@ def marker_corners(size=1.0, tilt_rad=TILT_RAD) -> np.ndarray:
 
 
 class DrawnViews:
-    """The views of a rig: every reading draws what stands where the robot is now."""
+    """The views of a rig; every reading renders the scene at the robot's present position."""
 
     def __init__(self, robot, clock, draw, *, rng=None, step_s=1 / 30):
         self.robot = robot
@@ -122,7 +122,7 @@ class DrawnViews:
         self.rng = rng
         self.step_s = step_s
         self.count = 0
-        self.spoil = {}  # per place visited so far: what is drawn instead
+        self.spoil = {}  # per visited place, a replacement of the rendered scene
 
     def __call__(self):
         self.clock.sleep(self.step_s)
@@ -134,7 +134,7 @@ class DrawnViews:
 
 
 class LockstepClock(ManualClock):
-    """A clock that only the main thread moves; others wait until it has."""
+    """A clock that only the main thread advances; other threads wait for it."""
 
     def __init__(self):
         super().__init__()
@@ -145,7 +145,7 @@ class LockstepClock(ManualClock):
             with self.changed:
                 super().sleep(span_s)
                 self.changed.notify_all()
-            time.sleep(0)  # let the others see it
+            time.sleep(0)  # let the waiting threads run
             return
         end_s = self.now_s + span_s
         with self.changed:

@@ -1,4 +1,4 @@
-"""`fingerpost robot ...` as a process of its own, with an emulated Scorbot and a hand on film."""
+"""`fingerpost robot ...` in a subprocess, with an emulated Scorbot and a recorded hand."""
 
 from __future__ import annotations
 
@@ -26,50 +26,50 @@ from fingerpost.robot.emulator.ports import ArmTime, Emulator, PtyPort
 from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
 
 TIME_SCALE = 3.0
-"""The emulated arm lives so much faster than the process that drives it."""
+"""Seconds of the emulated arm per second of the process that drives it."""
 
 FPS = 30
 EMPTY_FRAMES = 30
-"""Before the hand comes: by then the table is known."""
+"""Frames before the hand enters, enough to learn the background."""
 
 FIRST_MM, SECOND_MM = (130.0, 90.0), (130.0, 320.0)
 HOLD_FRAMES = 90
-"""As long as it points at the first place: the arm enters the region meanwhile."""
+"""Duration of the pointing at the first place; the arm enters the region meanwhile."""
 HEIGHT_M = 0.02
 
 SPEED = ("--speed", "0.1")
-"""At this speed the arm enters the region soon, and needs more than a second to the hand."""
+"""At this speed the arm enters the region soon and takes more than a second to reach the hand."""
 
 STOPPED_S = 0.3
-"""A stop that a process decides on is seen within this; the stop itself takes 20 ms."""
+"""Limit from the cause of a stop to the standstill; the stop command itself takes 20 ms."""
 
 PATIENT = ("--max-age", "3", "--operator-timeout", "5")
-"""A crowded machine may keep frames waiting, which is itself a reason to stop."""
+"""Generous limits: on a loaded machine delayed frames would themselves stop the arm."""
 
 BY_HAND = ("--attendance", "hand")
-"""Where there is no terminal, the hand on film stands for the operator."""
+"""Without a terminal, the recorded hand proves the operator's presence."""
 
 PATIENCE_S = 120.0
-"""For what a crowded machine may delay: the start of a process, say, or a whole film."""
+"""Time-out of what a loaded machine may delay: a process start or a whole recording."""
 
 ORIGIN_M = np.array([0.28, -0.2])
-"""The recording's plane, in millimetres, has its origin here in the robot's frame."""
+"""Origin of the recording's plane (in millimetres) in the robot's frame."""
 
 
 def robot_xy(point_mm) -> np.ndarray:
-    """A point of the recording's plane in the robot's frame [m]."""
+    """Transform a point of the recording's plane to the robot's frame [m]."""
     return ORIGIN_M + np.asarray(point_mm) / 1000.0
 
 
 @dataclass(frozen=True)
 class Coming:
-    """A hand that is away at first."""
+    """A hand that enters after `away_s`."""
 
     motion: Trajectory
     away_s: float
 
     def pose_at(self, time_s: float) -> DevicePose | None:
-        """Where it is; None while it is away."""
+        """Return the pose, or None while the hand is away."""
         return None if time_s < self.away_s else self.motion.pose_at(time_s - self.away_s)
 
 
@@ -82,7 +82,7 @@ def write_hand(
     azimuth_deg=255.0,
     slant_deg=50.0,
 ) -> None:
-    """Film a hand that comes, points at one place and then at another, and hides behind no arm."""
+    """Record a hand that enters and points at two places in turn, never occluded by the arm."""
     first, second = (
         DevicePose.pointing_at(
             target, azimuth_deg=azimuth_deg, slant_deg=slant_deg, hover_mm=hover_mm
@@ -104,7 +104,7 @@ def write_hand(
 
 
 def cut_film(folder: Path, film: Path, frames) -> list[str]:
-    """Another film, of some frames of one since the hand has come; returns the views' sources."""
+    """Write a recording of selected frames after the hand's entry; return the views' sources."""
     frames = [*range(EMPTY_FRAMES), *(EMPTY_FRAMES + frame for frame in frames)]
     sources = []
     for view in ("left", "right"):
@@ -117,12 +117,12 @@ def cut_film(folder: Path, film: Path, frames) -> list[str]:
 
 
 def still_film(folder: Path, film: Path) -> list[str]:
-    """Another film, of a hand that points at one place for six seconds."""
+    """Write a recording of a hand that points at one place for six seconds."""
     return cut_film(folder, film, [*range(HOLD_FRAMES), *([HOLD_FRAMES - 1] * 90)])
 
 
 def show_instead(folder: Path, image) -> None:
-    """Have every frame of a film that is still to be read show an image."""
+    """Replace every frame of a recording that is still to be read with one image."""
     shown = jpeg(image)
     for path in folder.glob("*/*.jpg"):
         new = path.with_suffix(".new")
@@ -131,7 +131,7 @@ def show_instead(folder: Path, image) -> None:
 
 
 def write_rig(folder: Path, recording: Path, sources=None, **changes) -> Path:
-    """The rig of a film in the robot's own coordinates."""
+    """Write the rig file of a recording in the robot's own coordinates."""
     rig = Rig.load(recording / "rig.toml")
     points = tuple(tuple(map(float, robot_xy(point))) for point in rig.plane.points)
     table = RobotTable(
@@ -156,7 +156,7 @@ def write_rig(folder: Path, recording: Path, sources=None, **changes) -> Path:
 
 
 class EmulatedArm:
-    """A Scorbot's controller on a pseudo-terminal, and what it really does."""
+    """A Scorbot's controller on a pseudo-terminal, with access to its true state."""
 
     def __init__(self, time_scale=TIME_SCALE, *, homing_s=0.5) -> None:
         self.clock = ArmTime(time_scale)
@@ -172,23 +172,23 @@ class EmulatedArm:
 
     @property
     def url(self) -> str:
-        """What the driver opens."""
+        """The URL that the driver opens."""
         return f"acl://{self.emulator.address}?poll_s=0.01&max_speed_m_s=1.0"
 
     def is_moving(self) -> bool:
-        """Whether it moves now."""
+        """Return whether the arm moves now."""
         return self.controller.is_moving(self.clock())
 
     def pose(self):
-        """Where it is."""
+        """Return the arm's true pose."""
         return pose_of(self.controller.units(self.clock()))
 
     def travels(self) -> bool:
-        """Whether it is moving over the table, in the safe region, on a command."""
+        """Return whether the arm executes a command above the table, in the safe region."""
         return self.is_moving() and self.pose().z_m < 0.255 and len(self.controller.moves) > 1
 
     def assert_stopped(self, aborts: int, within_s: float) -> None:
-        """Stopped within a time, and for good."""
+        """Assert that the arm stops within a time and stays stopped."""
         end_s = time.monotonic() + within_s
         while self.controller.aborts == aborts or self.is_moving():
             assert time.monotonic() < end_s, "the arm was not stopped"
@@ -196,12 +196,12 @@ class EmulatedArm:
         moves, aborts = len(self.controller.moves), self.controller.aborts
         time.sleep(0.4)
         assert not self.is_moving()
-        # A command that was on its way to the line when the stop came is stopped anew.
+        # A command that was already being sent when the stop came is followed by another stop.
         assert len(self.controller.moves) == moves or self.controller.aborts > aborts
 
 
 class Guided:
-    """A running command."""
+    """A running `fingerpost robot` command."""
 
     def __init__(self, *arguments, terminal=False, cwd=None) -> None:
         self.errors: list[str] = []
@@ -246,16 +246,16 @@ class Guided:
             os.close(self.terminal)
 
     def press(self, keys: str) -> None:
-        """Type on its terminal."""
+        """Type keys on the command's terminal."""
         os.write(self.terminal, keys.encode())
 
     def hang_up(self) -> None:
-        """Close its terminal."""
+        """Close the command's terminal."""
         os.close(self.terminal)
         self.terminal = None
 
     def until(self, true, what="") -> None:
-        """Wait for something while it runs."""
+        """Wait for a condition while the command runs."""
         end_s = time.monotonic() + PATIENCE_S
         while not true():
             assert self.process.poll() is None, f"ended early: {self.said()}"
@@ -263,15 +263,15 @@ class Guided:
             time.sleep(0.002)
 
     def until_said(self, words: str) -> None:
-        """Wait for words on stderr."""
+        """Wait for a text on stderr."""
         self.until(lambda: words in self.said(), words)
 
     def said(self) -> str:
-        """What it has said on stderr so far."""
+        """Return the text on stderr up to now."""
         return "".join(self.errors)
 
     def end(self, within_s=PATIENCE_S) -> int:
-        """Wait for its end; returns the exit code."""
+        """Wait for the end of the command; return its exit code."""
         try:
             code = self.process.wait(within_s)
         except subprocess.TimeoutExpired:
@@ -282,22 +282,22 @@ class Guided:
 
     @property
     def out(self) -> str:
-        """Its standard output, once it has ended."""
+        """The standard output, complete after the end."""
         return "".join(self._out)
 
     def signal(self, number: signal.Signals) -> None:
-        """Send it a signal."""
+        """Send a signal to the command."""
         self.process.send_signal(number)
 
 
 def commands(path: Path) -> list[dict[str, str]]:
-    """The log of commands."""
+    """Read the rows of a command log."""
     with path.open(newline="") as file:
         return list(csv.DictReader(file))
 
 
 class Travelling:
-    """A command whose arm is on its way; options given replace its own."""
+    """A running command with a moving arm; given options override the defaults."""
 
     def __init__(self, rig, folder, *options, command="follow", terminal=False):
         self.log = folder / "commands.csv"
@@ -323,7 +323,7 @@ class Travelling:
         self.arm.__exit__(*error)
 
     def travel(self):
-        """Wait until it follows; returns how many stops the controller has had."""
+        """Wait until the arm follows; return the number of stops received by the controller."""
         self.guided.until(lambda: self.log.exists() and self._moves(), "following")
         self.guided.until(self.arm.travels, "moving")
         return self.arm.controller.aborts
@@ -332,19 +332,19 @@ class Travelling:
         return [row for row in commands(self.log) if row["command"] == "move"]
 
     def reasons(self):
-        """Why the arm was stopped."""
+        """Return the reasons of all stops."""
         return [row["detail"] for row in commands(self.log) if row["command"] in ("hold", "halt")]
 
 
 class JpegStreams(http.server.ThreadingHTTPServer):
-    """Films as motion JPEG on a loopback port, in real time, until told to stall.
+    """Recordings as motion JPEG on a loopback port, in real time, until `stalled` is set.
 
     Parameters
     ----------
     films
-        For every view its pictures, as JPEG bytes; or a callable that draws the next.
+        For every view, its pictures as JPEG bytes, or a callable that returns the next one.
     fps
-        Pictures a second.
+        Pictures per second.
     """
 
     daemon_threads = True
@@ -369,7 +369,7 @@ class JpegStreams(http.server.ThreadingHTTPServer):
 
     @property
     def urls(self) -> list[str]:
-        """One for every view."""
+        """The URL of every view."""
         return [
             f"http://127.0.0.1:{self.server_port}/{k}/stream.mjpg" for k in range(len(self.films))
         ]
@@ -400,5 +400,5 @@ class _JpegHandler(http.server.BaseHTTPRequestHandler):
 
 
 def jpeg(image) -> bytes:
-    """An image as JPEG."""
+    """Encode an image as JPEG."""
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()

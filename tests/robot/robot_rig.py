@@ -1,4 +1,4 @@
-"""A Scorbot on an emulated controller whose time runs fast, for the tests of the robot edge."""
+"""A Scorbot on an emulated controller in accelerated time."""
 
 import contextlib
 import functools
@@ -19,28 +19,28 @@ from fingerpost.robot.protocol import TOOL_DOWN_RAD, Pose
 from fingerpost.robot.scorbot import UNIT_DEG, UNIT_M, Scorbot, ScorbotOptions
 
 TIME_SCALE = 50.0
-"""Seconds of the arm per second of ours."""
+"""Seconds of arm time per second of real time."""
 
 STALL_S = 0.05
-"""What one pause of ours counts for at most, in our time."""
+"""Upper limit of the real time that one pause of the test process counts for."""
 
 REPLY_S = 0.2
-"""Time-out of one answer, in our time: short, so that silence costs tests little."""
+"""Time-out of one answer in real time; short, so that tests of silent lines stay fast."""
 
 
 PATIENCE_S = 1.0
-"""What a driver adds to the time of a motion, in our time: five seconds of an arm whose time runs
-this fast would be less than a crowded machine may leave a thread waiting."""
+"""Margin that a driver adds to the duration of a motion, in real time. The default of five seconds
+of arm time is shorter than a thread may have to wait on a loaded machine."""
 
 
 def patience() -> contextlib.AbstractContextManager[object]:
-    """Give a driver `PATIENCE_S` where it gives an arm at its own pace some seconds."""
+    """Set the drivers' time margins, some seconds of a real arm, to `PATIENCE_S`."""
     span_s = PATIENCE_S * TIME_SCALE
     return mock.patch.multiple(arm, MOVE_MARGIN_S=span_s, READING_TIMEOUT_S=span_s)
 
 
 def fast_options(**options: object) -> ScorbotOptions:
-    """Options whose time-outs, in our time, suit an emulator that answers in a millisecond."""
+    """Return options with time-outs for an emulator that answers in a millisecond of real time."""
     return ScorbotOptions(
         **{
             "reply_s": REPLY_S * TIME_SCALE,
@@ -55,10 +55,10 @@ def fast_options(**options: object) -> ScorbotOptions:
 
 
 class RunningTime(ArmTime):
-    """An arm's clock that stands while nobody runs.
+    """An arm's clock that stands still while the test process does not run.
 
-    A crowded machine may hold a test up for half a second, which at the arm's pace is longer than
-    most of its time-outs; between two looks at this clock no more than `STALL_S` pass.
+    A loaded machine may suspend a test for half a second, which in arm time exceeds most time-outs.
+    Between two readings of this clock at most `STALL_S` of real time pass.
     """
 
     def __init__(self, scale: float) -> None:
@@ -76,11 +76,11 @@ class RunningTime(ArmTime):
 
 
 STOP_S = 0.020
-"""A stop reaches the controller's port within this."""
+"""Limit from the call of a stop to its arrival at the controller's port."""
 
 
 class CrowdedError(AssertionError):
-    """What has failed may be due to a crowded machine."""
+    """A failure that a loaded machine may have caused."""
 
 
 def assert_in_time(called_s: float, arrived_s: float) -> None:
@@ -92,8 +92,8 @@ def assert_in_time(called_s: float, arrived_s: float) -> None:
 def best_of_three(test):
     """Let a test fail with `CrowdedError` only if it does so three times.
 
-    A crowded machine may leave any thread waiting for longer than 20 ms now and then; a stop that
-    stands behind a lock or a queue is late every time.
+    On a loaded machine, any thread may now and then wait longer than 20 ms. A stop that waits for a
+    lock or a queue is late every time.
     """
 
     @functools.wraps(test)
@@ -108,7 +108,7 @@ def best_of_three(test):
 
 @dataclass
 class Tape:
-    """What went over the line, neighbours in the same direction joined."""
+    """The transfers over the line; consecutive ones in the same direction are joined."""
 
     transfers: list[tuple[str, bytes]] = field(default_factory=list)
 
@@ -131,29 +131,29 @@ class Rig:
 
     @property
     def plugged(self) -> bool:
-        """Whether the cable is in."""
+        """Whether the cable is plugged in."""
         return bool(self.port.descriptors())
 
     @property
     def stops(self) -> int:
-        """Stops that the controller has seen."""
+        """Stops that the controller has received."""
         return self.controller.aborts
 
     @property
     def stop_bytes(self) -> bytes:
-        """What a stop is known by on the line."""
+        """The bytes that identify a stop on the line."""
         return ABORT[:1]
 
     def random_goal(self, rng: np.random.Generator) -> Pose:
-        """A pose in reach."""
+        """Draw a reachable pose."""
         return random_goal(rng)
 
     def true_pose(self) -> Pose:
-        """Where the arm really is."""
+        """Return the true pose of the emulated arm."""
         return pose_of(self.controller.units(self.clock()))
 
     def is_moving(self) -> bool:
-        """Whether the arm really moves."""
+        """Return whether the emulated arm moves."""
         return self.controller.is_moving(self.clock())
 
 
@@ -196,7 +196,7 @@ def scorbot_rig(
 
 
 def pose_of(units: np.ndarray) -> Pose:
-    """A controller's X, Y, Z [0.1 mm], P, R [0.1°] as a pose."""
+    """Convert a controller's X, Y, Z [0.1 mm], P, R [0.1°] to a pose."""
     return Pose(
         *(float(value) * UNIT_M for value in units[:3]),
         pitch_rad=math.radians(float(units[3]) * UNIT_DEG),
@@ -205,12 +205,12 @@ def pose_of(units: np.ndarray) -> Pose:
 
 
 def over_table(x_m: float, y_m: float, z_m: float = 0.1) -> Pose:
-    """A pose with the gripper pointing down."""
+    """Return a pose with the gripper pointing down."""
     return Pose(x_m, y_m, z_m, pitch_rad=TOOL_DOWN_RAD, roll_rad=0.0)
 
 
 def random_goal(rng: np.random.Generator) -> Pose:
-    """A pose that the arm can reach, over a table in front of it."""
+    """Draw a reachable pose above a table in front of the arm."""
     return over_table(
         float(rng.uniform(0.36, 0.5)),
         float(rng.uniform(-0.25, 0.25)),
@@ -219,7 +219,7 @@ def random_goal(rng: np.random.Generator) -> Pose:
 
 
 class ManualClock:
-    """A clock that only waiting moves, and that does things when their time comes."""
+    """A simulated clock that only `sleep` advances, with scheduled actions."""
 
     def __init__(self):
         self.now_s = 1000.0
@@ -229,11 +229,11 @@ class ManualClock:
         return self.now_s
 
     def at(self, time_s, act):
-        """Do something when this time is reached."""
+        """Schedule an action."""
         self._due.append((time_s, act))
 
     def sleep(self, span_s):
-        """Move on, doing on the way what is due."""
+        """Advance the clock, running due actions in order."""
         end_s = self.now_s + span_s
         while self._due and min(time_s for time_s, _ in self._due) <= end_s:
             due = min(self._due, key=lambda one: one[0])

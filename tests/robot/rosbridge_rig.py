@@ -1,4 +1,4 @@
-"""An arm of ROS behind an emulated rosbridge server."""
+"""A ROS arm behind an emulated rosbridge server."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Rig:
     clock: ArmTime
 
     def true_m(self) -> np.ndarray:
-        """Where the tool really is [m]."""
+        """Return the true position of the tool [m]."""
         return self.server.position_m(self.clock())
 
     def is_moving(self) -> bool:
-        """Whether the arm really moves."""
+        """Return whether the emulated arm moves."""
         return self.server.is_moving(self.clock())
 
 

@@ -1,4 +1,4 @@
-"""An SO-101 on emulated servos, and its URDF's joints for the truth about where its gripper is."""
+"""An SO-101 on emulated servos; the joints of its URDF give the true gripper position."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ URDF_JOINTS = (
     ((-0.1349, 0.0052, 0.0), (0.0, 0.0, -1.5708)),
     ((0.0, -0.0611, 0.0181), (1.5708, 0.0, 3.14159)),
 )
-"""Origins, xyz [m] and rpy [rad], of the joints of TheRobotStudio/SO-ARM100's
-`so101_new_calib.urdf`, each of which turns about its own z; the first as seen from its axis."""
+"""Joint origins, xyz [m] and rpy [rad], of `so101_new_calib.urdf` in TheRobotStudio/SO-ARM100. Each
+joint rotates about its own z; the origin of the first lies on its axis."""
 
 URDF_TIP = (0.0, 0.0, -0.0981274)
-"""The tip on the axis of the last joint [m]."""
+"""Gripper tip on the axis of the last joint [m]."""
 
 URDF_APPROACH, URDF_SIDE = (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)
-"""In the last link: where the gripper points, and the side that is left at zero roll."""
+"""In the last link: the gripper's direction, and the side that points left at zero roll."""
 
 
 def urdf_tip(angles_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the URDF has the tip [m] and the last link's rotation, at joint angles (5,) [rad]."""
+    """Return the tip [m] and the last link's rotation by the URDF, at joint angles (5,) [rad]."""
     place, turn = np.zeros(3), Rotation.identity()
     for (xyz, rpy), angle in zip(URDF_JOINTS, angles_rad, strict=True):
         place = place + turn.apply(xyz)
@@ -44,7 +44,7 @@ def urdf_tip(angles_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def urdf_angles(positions: dict[int, float]) -> np.ndarray:
-    """The URDF's joint angles [rad] at the servos' positions [counts], as LeRobot has them."""
+    """Convert servo positions [counts] to the URDF's joint angles [rad], as LeRobot does."""
     middles = [(CALIBRATION[n]["range_min"] + CALIBRATION[n]["range_max"]) / 2 for n in NAMES[:5]]
     return (np.array([positions[k + 1] for k in range(5)]) - middles) * 2 * math.pi / 4096
 
@@ -61,11 +61,11 @@ class Rig:
     clock: ArmTime
 
     def true_m(self) -> np.ndarray:
-        """Where the gripper's tip really is, by the URDF [m]."""
+        """Return the true position of the gripper's tip by the URDF [m]."""
         return urdf_tip(urdf_angles(self.bus.positions(self.clock())))[0]
 
     def is_moving(self) -> bool:
-        """Whether the arm really moves."""
+        """Return whether the emulated arm moves."""
         return self.bus.is_moving(self.clock())
 
 
@@ -92,7 +92,7 @@ def so101_rig(
 
 
 def wait_until(true) -> None:
-    """Wait for something that a crowded machine may delay."""
+    """Wait for a condition that a loaded machine may delay."""
     end_s = time.monotonic() + 5.0
     while not true():
         assert time.monotonic() < end_s

@@ -1,10 +1,10 @@
 """Thousands of moves with random faults; `python tests/robot/soak.py 10000 --jobs 3` reports.
 
-Of a Scorbot, or with `--arm uarm` (marlin, dexarm) of another arm that is emulated.
+The arm is a Scorbot, or with `--arm uarm` (marlin, dexarm) another emulated arm.
 
-Every call must end with the truth or with a typed error within its time-out, and a stop must reach
-the controller's port within 20 ms at any moment. On a crowded machine, run it at a priority of its
-own (`chrt -f 10`): a thread may wait for a processor for longer than that.
+Every call must end with a correct result or a typed error within its time-out, and a stop must
+reach the controller's port within 20 ms at any moment. On a loaded machine a thread may wait longer
+than that for a processor; run it there at real-time priority (`chrt -f 10`).
 """
 
 import argparse
@@ -31,22 +31,22 @@ from fingerpost.robot.errors import ConnectionLostError, RobotError, StoppedErro
 from fingerpost.robot.protocol import Pose, RobotState
 
 FAULT_SHARE = 0.3
-"""So many moves meet a fault."""
+"""Fraction of moves with a fault."""
 
 STOP_SHARE = 0.05
-"""So many moves are stopped."""
+"""Fraction of moves that are stopped."""
 
 WITHIN_S = 0.02
-"""Faults and stops come so long after the move begins: a move lasts about 15 ms."""
+"""Longest delay of a fault or stop after the start of a move, which lasts about 15 ms."""
 
 STOP_SEEN_S = 1.0
-"""After an error the controller must have been told to stop; a crowded machine may leave the thread
-that reads for it waiting for a while."""
+"""After an error, the controller must receive a stop within this time; on a loaded machine its
+reading thread may have to wait."""
 
 AnyRig: TypeAlias = Rig | gcode_rig.Rig
 
 LIMIT_S = 3.0
-"""No call may last longer; the longest time-out, of finding the prompt again, is 0.6 s."""
+"""Limit of every call; the longest time-out, that of resynchronising to the prompt, is 0.6 s."""
 
 NEAR_M = 1.2e-3
 """The arrival tolerance of 1 mm, and rounding."""
@@ -55,10 +55,10 @@ READING_M = 2.5e-4
 """Rounding of a reading: 0.1 mm in each coordinate, and the encoders'."""
 
 GAP_S = 0.003
-"""A sleep of a millisecond that takes longer than this is one that had to wait."""
+"""A sleep of 1 ms that takes longer than this had to wait for a processor."""
 
 SLOW_S = 1.5
-"""A slow answer comes after so many time-outs of one."""
+"""Delay of a slow answer, in units of the answer time-out."""
 
 ARMS = ("acl", *gcode_rig.ARMS)
 
@@ -84,11 +84,11 @@ FAULTS = (
 
 @dataclass
 class LateStop:
-    """A stop that took longer than it should, and who else had to wait meanwhile.
+    """A stop that took too long, with the delays of two reference sleepers at that time.
 
-    A thread and a process that only sleep, a millisecond at a time, tell whether it was the code:
-    if the process was late as well, the machine had no processor to spare; if only the thread was,
-    another thread of ours kept the interpreter.
+    A thread and a process that only sleep, 1 ms at a time, identify the cause. If the process was
+    late as well, the machine had no free processor. If only the thread was late, another thread of
+    this process held the interpreter.
     """
 
     called_s: float
@@ -98,7 +98,7 @@ class LateStop:
     process_late_ms: float = 0.0
 
     def as_dict(self) -> dict[str, float]:
-        """Return it in milliseconds."""
+        """Return the delays in milliseconds."""
         return {
             "took_ms": 1000 * (self.arrived_s - self.called_s),
             "call_ms": 1000 * (self.returned_s - self.called_s),
@@ -108,7 +108,7 @@ class LateStop:
 
 
 class Sleeper:
-    """Sleeps a millisecond at a time and notes when that took much longer."""
+    """Sleeps 1 ms at a time and records the sleeps that took much longer."""
 
     def __init__(self) -> None:
         self.gaps: list[tuple[float, float]] = []
@@ -124,7 +124,7 @@ class Sleeper:
             before_s = now_s
 
     def late_ms(self, stop: LateStop) -> float:
-        """How long it could not run during a stop."""
+        """Return how long the sleeper was held up during a stop."""
         within = (
             min(end_s, stop.arrived_s) - max(begin_s, stop.called_s) for begin_s, end_s in self.gaps
         )
@@ -139,32 +139,32 @@ def _sleep_in_process(ends: Connection) -> None:
 
 
 @contextmanager
-def witnesses(report: "SoakReport") -> Iterator[None]:
-    """See how late a thread and a process that only sleep are while stops are late."""
+def reference_sleepers(report: "SoakReport") -> Iterator[None]:
+    """Measure the delays of a sleeping thread and a sleeping process during late stops."""
     thread, process, done = Sleeper(), Sleeper(), threading.Event()
     ours, theirs = multiprocessing.Pipe()
-    witness = multiprocessing.get_context("spawn").Process(
+    sleeping_process = multiprocessing.get_context("spawn").Process(
         target=_sleep_in_process, args=(theirs,), daemon=True
     )
-    witness.start()
-    ours.recv()  # its imports would take the processor from the first moves
-    sleeping = threading.Thread(target=thread.run, args=(done.is_set,))
-    sleeping.start()
+    sleeping_process.start()
+    ours.recv()  # its imports would delay the first moves
+    sleeping_thread = threading.Thread(target=thread.run, args=(done.is_set,))
+    sleeping_thread.start()
     try:
         yield
     finally:
         done.set()
-        sleeping.join()
+        sleeping_thread.join()
         ours.send(None)
         process.gaps = ours.recv()
-        witness.join()
+        sleeping_process.join()
     for stop in report.late_stops:
         stop.thread_late_ms, stop.process_late_ms = thread.late_ms(stop), process.late_ms(stop)
 
 
 @dataclass
 class SoakReport:
-    """What happened."""
+    """Counts and durations of a run."""
 
     moves: int = 0
     arrived: int = 0
@@ -183,7 +183,7 @@ class SoakReport:
     reconnects: int = 0
 
     def add(self, other: "SoakReport") -> None:
-        """Take another report in."""
+        """Add another report."""
         for name, value in vars(other).items():
             if name.startswith("slowest"):
                 setattr(self, name, max(getattr(self, name), value))
@@ -207,12 +207,12 @@ def _plugged_in(arm: str, seed: int) -> AbstractContextManager[AnyRig]:
 
 
 def soak(moves: int, seed: int, arm: str = "acl") -> SoakReport:
-    """Make so many moves under random faults."""
+    """Make `moves` moves under random faults."""
     rng = np.random.default_rng(seed)
     report = SoakReport()
-    with witnesses(report), _plugged_in(arm, seed) as rig:
+    with reference_sleepers(report), _plugged_in(arm, seed) as rig:
         for _ in range(moves):
-            # A log that grows makes the collector of garbage hold all threads up, by 0.1 s at last.
+            # With a growing log, the garbage collector would hold up all threads, by up to 0.1 s.
             rig.emulator.wire.clear()
             rig.tape.transfers.clear()
             _recover(rig, report)
@@ -245,14 +245,14 @@ def _move(rig: AnyRig, rng: np.random.Generator, report: SoakReport) -> None:
         report.errors["ConnectionLostError"] += 1
     except RobotError as error:
         report.errors[type(error).__name__] += 1
-        if not _within(STOP_SEEN_S, lambda: _told_to_stop(rig, aborts)):
+        if not _within(STOP_SEEN_S, lambda: _stop_received(rig, aborts)):
             report.not_stopped.append(str(error))
     report.slowest_call_s = max(report.slowest_call_s, time.monotonic() - start_s)
     for meddler in meddlers:
         meddler.join()
 
 
-def _told_to_stop(rig: AnyRig, aborts: int) -> bool:
+def _stop_received(rig: AnyRig, aborts: int) -> bool:
     return rig.stops > aborts or not rig.plugged
 
 
@@ -269,23 +269,23 @@ def _later(rng: np.random.Generator, act: Callable[[], None]) -> threading.Threa
 
 
 def _stop(rig: AnyRig, report: SoakReport) -> None:
-    """Stop, and look in the controller's log when it arrived."""
+    """Stop, and read from the controller's log when the stop arrived."""
     seen = len(rig.emulator.wire)
     called_s = time.monotonic()
     try:
         rig.robot.stop()
     except ConnectionLostError:
-        return  # the cable is out
+        return  # the cable is unplugged
     returned_s = time.monotonic()
     arrived_s = _abort_seen(rig, seen, called_s)
     if arrived_s is None:
-        return  # unplugged in between
+        return  # unplugged meanwhile
     report.stops += 1
     took_ms = 1000 * (arrived_s - called_s)
     report.slowest_stop_ms = max(report.slowest_stop_ms, took_ms)
     report.slowest_stop_call_ms = max(report.slowest_stop_call_ms, 1000 * (returned_s - called_s))
-    # When the call returns, the bytes are the operating system's: on the wire. It is the emulator's
-    # thread that may read them later.
+    # When the call returns, the operating system has the bytes; the emulator's thread may read them
+    # later.
     report.late_calls += returned_s - called_s > STOP_S
     if took_ms > 1000 * STOP_S:
         report.late_stops.append(LateStop(called_s, returned_s, arrived_s))
@@ -301,7 +301,7 @@ def _within(span_s: float, true: Callable[[], bool]) -> bool:
 
 
 def _abort_seen(rig: AnyRig, seen: int, called_s: float) -> float | None:
-    """When the controller's port read the first abort after a moment, waiting half a second."""
+    """Return when the controller's port read the first abort since `called_s`; wait up to 0.5 s."""
     end_s = time.monotonic() + 0.5
     while time.monotonic() < end_s:
         for event in itertools.islice(rig.emulator.wire, seen, None):
@@ -312,12 +312,12 @@ def _abort_seen(rig: AnyRig, seen: int, called_s: float) -> float | None:
 
 
 def _read_on_the_way(rig: AnyRig, report: SoakReport) -> None:
-    """Read the pose of a moving arm; it must lie where the arm has been meanwhile."""
+    """Read the pose of a moving arm; it must lie between the true poses before and after."""
     before = rig.true_pose()
     try:
         pose = rig.robot.pose()
     except RobotError:
-        rig.robot.stop()  # a reading that fails stops nothing by itself
+        rig.robot.stop()  # a failed reading does not stop the arm
         raise
     after = rig.true_pose()
     report.readings += 1
@@ -333,7 +333,7 @@ def _compare(believed: Pose, true: Pose, within_m: float, what: str, report: Soa
 
 
 def _recover(rig: AnyRig, report: SoakReport) -> None:
-    """Do what an operator does after an error, faults of the line still going on."""
+    """Recover from an error as an operator would, while line faults continue."""
     while True:
         state = rig.robot.status().state
         start_s = time.monotonic()

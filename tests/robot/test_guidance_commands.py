@@ -1,4 +1,4 @@
-"""`fingerpost robot follow` as a user meets it, on a film and an emulated Scorbot; refusals."""
+"""`fingerpost robot follow` end to end, on a recording and an emulated Scorbot; refusals."""
 
 import json
 import re
@@ -65,7 +65,7 @@ def test_the_arm_follows_the_hand_and_every_command_has_its_fix(rig, tmp_path):
 
 
 def assert_recorded(recording, rows, there):
-    """The recording holds the log's commands, and the arm's states and poses with the steps."""
+    """Assert that the recording holds the log's commands and the arm's states and poses."""
     topics = defaultdict(list)
     for topic, schema, message, content in recorded_messages(recording):
         topics[topic, schema].append((message.log_time, content))
@@ -96,7 +96,7 @@ def assert_recorded(recording, rows, there):
     np.testing.assert_allclose(turned, [0.0, 0.0, -1.0], atol=1e-3)
 
 
-def test_json_lines_tell_lag_and_goal(rig):
+def test_json_lines_report_lag_and_goal(rig):
     with EmulatedArm() as arm:
         options = ("--arm", "--json", "--max-frames", EMPTY_FRAMES + 150, *FAST, *BY_HAND)
         with Guided("follow", rig, "--url", arm.url, *options) as guided:
@@ -113,7 +113,7 @@ def test_json_lines_tell_lag_and_goal(rig):
     assert "acquiring" in reports[0]["reason"]
 
 
-# Refusals: exit 2, one line, and nothing has moved.
+# Refusals: exit code 2, one line, no motion.
 
 
 def refused(*arguments, cwd=None):
@@ -148,7 +148,7 @@ def test_on_a_terminal_the_explicit_command_can_be_typed(rig):
                     assert arm.emulator.wire == []
 
 
-def test_a_rig_without_a_robot_guides_nothing(hand_film):
+def test_a_rig_without_a_robot_is_refused(hand_film):
     line = refused("follow", hand_film / "rig.toml", "--arm")
     assert "no [robot] table" in line
     assert "robot plane" in line
@@ -162,7 +162,7 @@ def test_a_rig_without_a_robot_guides_nothing(hand_film):
         ({"z_m": (0.03, 0.031)}, "too small"),
     ],
 )
-def test_a_region_that_is_none_is_refused_before_homing(hand_film, tmp_path, changes, words):
+def test_an_invalid_region_is_refused_before_homing(hand_film, tmp_path, changes, words):
     rig = write_rig(tmp_path, hand_film, **changes)
     with EmulatedArm() as arm:
         with Guided("follow", rig, "--url", arm.url, "--arm", *BY_HAND) as guided:
@@ -172,7 +172,7 @@ def test_a_region_that_is_none_is_refused_before_homing(hand_film, tmp_path, cha
 
 
 @pytest.mark.parametrize("command", ["follow", "pick"])
-def test_a_log_is_not_written_over_the_rig(rig, command):
+def test_the_log_does_not_overwrite_the_rig(rig, command):
     before = rig.read_bytes()
     assert "would overwrite" in refused(command, rig, "--arm", "--log", rig)
     assert rig.read_bytes() == before
@@ -218,9 +218,9 @@ def test_a_log_is_not_written_over_the_rig(rig, command):
         *((("pick", "--radius", value), "'--radius': radius_m") for value in ("nan", "1e300")),
     ],
 )
-def test_options_that_cannot_be_used(rig, options, words):
+def test_unusable_options_are_refused(rig, options, words):
     command, *rest = options
-    # Refused before the arm is connected: this one is not there.
+    # Refused before the arm is connected, for this address does not exist.
     assert words in refused(command, rig, "--url", "acl:///dev/nothing", "--arm", *rest)
 
 
@@ -231,14 +231,14 @@ def test_options_that_cannot_be_used(rig, options, words):
         (("follow", "--speed", "0.002"), "this arm's least speed is 0.01 m/s"),
     ],
 )
-def test_what_an_arm_cannot_do_is_refused_before_homing(rig, options, words):
+def test_options_beyond_the_arms_abilities_are_refused_before_homing(rig, options, words):
     command, *rest = options
     with EmulatedArm() as arm:
         assert words in refused(command, rig, "--url", arm.url, "--arm", *rest)
         assert not arm.controller.servos
 
 
-def test_options_may_be_right_only_together(rig):
+def test_options_valid_only_together_are_accepted(rig):
     with Guided(
         *("pick", rig, "--url", "acl:///dev/nothing", "--arm", *BY_HAND),
         *("--travel", "0.013", "--grip-height", "0.012", "--release-height", "0.012"),
@@ -257,7 +257,7 @@ def test_a_robot_that_is_not_there_is_an_error_in_one_line(rig):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        # Works without keys, as far as it can.
+        # Runs without keys, up to the missing device.
         ("follow --arm --attendance hand", "/dev/nothing cannot be opened"),
         ("follow --attendance hand", "give --arm"),
         ("follow", "--attendance key needs a terminal"),

@@ -1,4 +1,4 @@
-"""Only the operator's hand moves the arm: what a session does with any other, and how it begins."""
+"""Sessions move the arm by the operator's hand alone; other hands, and the start of a session."""
 
 import contextlib
 from types import SimpleNamespace
@@ -28,7 +28,7 @@ TIMEOUT_S = 1.0
 
 
 class Stage:
-    """A session over a simulated robot, whose time only this test lets pass."""
+    """A session with a simulated robot in simulated time."""
 
     def __init__(self, *, attendance=Attendance.KEY, keys=True):
         self.clock = ManualClock()
@@ -56,7 +56,7 @@ class Stage:
         self.robot.home()
 
     def sleep(self, span_s):
-        """Let time pass in small steps, with the key held down and the guard watching."""
+        """Advance the time in small steps, with keys held down and the guard checking."""
         end_s = self.clock() + span_s
         while self.clock() < end_s:
             self.clock.sleep(min(0.02, end_s - self.clock()))
@@ -65,7 +65,7 @@ class Stage:
             self.guard.check()
 
     def show(self, point, hand, frames=15):
-        """Let a hand point for some frames."""
+        """Show a hand that points at a place for some frames."""
         for _ in range(frames):
             status = Status.OK if point is not None else Status.LOST
             fix = fix_at(point, self.clock(), 1e-6 * np.eye(2), status=status)
@@ -76,7 +76,7 @@ class Stage:
 
     @property
     def moves(self):
-        """Commands of the follower."""
+        """The follower's move commands."""
         return [record for record in self.guard.records if record.command == "move"]
 
 
@@ -89,7 +89,7 @@ def begun(**fields):
         yield stage
 
 
-def test_a_hand_that_nobody_has_confirmed_moves_nothing():
+def test_an_unconfirmed_hand_moves_nothing():
     with begun() as stage:
         before = stage.robot.position.copy()
         stage.show([0.4, 0.1], Hand(1))
@@ -102,7 +102,7 @@ def test_a_hand_that_nobody_has_confirmed_moves_nothing():
         assert not stage.session.sees_stranger
 
 
-def test_a_hand_held_up_to_its_template_is_followed():
+def test_a_hand_presented_at_its_template_is_followed():
     with begun() as stage:
         stage.show([0.4, 0.1], Hand(1, is_presented=True), frames=120)
         assert stage.session.has_hand
@@ -113,7 +113,7 @@ def test_a_key_confirms_the_hand_that_is_tracked_now():
     with begun() as stage:
         stage.session.press("h")
         stage.show(None, Hand(), frames=3)
-        assert not stage.session.has_hand  # there was none to confirm
+        assert not stage.session.has_hand  # no hand was tracked
         stage.show([0.4, 0.1], Hand(1), frames=3)
         stage.session.press("h")
         stage.show([0.4, 0.1], Hand(1), frames=120)
@@ -131,7 +131,7 @@ def test_another_hand_does_not_take_the_operators_place():
         assert stage.robot.position[:2] == pytest.approx([0.3, -0.1], abs=0.005)
 
 
-def test_nothing_moves_until_a_key_is_held_and_it_stops_when_that_is_let_go():
+def test_the_arm_moves_only_while_a_key_is_held():
     stage = Stage()
     with stage.session:
         stage.clock.at(stage.clock() + 5.0, lambda: setattr(stage, "held", " "))
@@ -150,7 +150,7 @@ def test_nothing_moves_until_a_key_is_held_and_it_stops_when_that_is_let_go():
         assert "stopped: the operator is gone" in " ".join(stage.said)
 
 
-def test_an_entry_that_is_stopped_goes_on_at_the_key_that_continues():
+def test_a_stopped_entry_resumes_at_the_continue_key():
     stage = Stage()
     stage.held = " "
     with stage.session:
@@ -164,7 +164,7 @@ def test_an_entry_that_is_stopped_goes_on_at_the_key_that_continues():
         )
 
 
-def test_the_key_that_quits_ends_the_wait_for_a_key():
+def test_the_quit_key_ends_the_wait_for_a_key():
     stage = Stage()
     with stage.session:
         stage.clock.at(stage.clock() + 1.0, lambda: stage.session.press("q"))
@@ -173,7 +173,7 @@ def test_the_key_that_quits_ends_the_wait_for_a_key():
         assert not stage.guard.armed
 
 
-def test_without_keys_an_entry_that_is_stopped_ends_the_session():
+def test_without_keys_a_stopped_entry_ends_the_session():
     stage = Stage(attendance=Attendance.HAND, keys=False)
 
     def begin():
@@ -185,25 +185,25 @@ def test_without_keys_an_entry_that_is_stopped_ends_the_session():
         begin()
 
 
-def test_a_tracked_hand_that_is_not_the_operators_is_no_operator():
+def test_another_persons_hand_is_no_sign_of_the_operator():
     with begun(attendance=Attendance.HAND) as stage:
         stage.held = ""
         stage.show([0.5, 0.2], Hand(1, is_presented=True), frames=6)
         assert stage.guard.busy
         other = fix_at([0.3, 0.0], stage.clock(), 1e-6 * np.eye(2))
         seen = SimpleNamespace(finger=FINGER)
-        heard_s = stage.guard._heard_s
+        heartbeat_s = stage.guard._heartbeat_s
         stage.session.take(SimpleNamespace(fix=other, observations=(seen,), hand=Hand(2)))
-        assert stage.guard._heard_s == heard_s
+        assert stage.guard._heartbeat_s == heartbeat_s
         stage.guard.check()
-        assert not stage.guard.busy  # and what moves on the first hand's fix is held
+        assert not stage.guard.busy  # the motion by the first hand's fix is held
 
 
-def test_an_arm_that_has_lost_its_position_is_homed_at_the_key_that_continues():
+def test_an_arm_that_has_lost_its_position_is_homed_at_the_continue_key():
     with begun() as stage:
         stage.session._home = stage.robot.home
         stage.show([0.4, 0.1], Hand(1, is_presented=True), frames=30)
-        stage.robot._homed = False  # as an arm without encoders that was stopped in motion
+        stage.robot._homed = False  # like an arm without encoders that was stopped in motion
         stage.show([0.45, 0.15], Hand(1, is_presented=True), frames=10)
         assert not stage.guard.armed
         assert "home" in " ".join(stage.said)
@@ -213,7 +213,7 @@ def test_an_arm_that_has_lost_its_position_is_homed_at_the_key_that_continues():
         assert stage.robot.position[:2] == pytest.approx([0.45, 0.15], abs=0.005)
 
 
-def test_the_newest_of_the_jobs_that_wait_is_done_in_turn():
+def test_turns_run_only_the_newest_waiting_job():
     done = []
     with Turns() as turns:
         turns.offer(lambda: done.append("first"))
@@ -224,7 +224,7 @@ def test_the_newest_of_the_jobs_that_wait_is_done_in_turn():
     assert done == ["second"]
 
 
-def test_a_job_may_offer_the_next_one_and_what_it_raises_is_raised_at_the_next_check():
+def test_a_job_may_offer_the_next_one_and_its_error_is_raised_at_the_next_check():
     done = []
 
     def first():

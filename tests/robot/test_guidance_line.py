@@ -1,6 +1,6 @@
-"""A line or a view that fails stops the arm: seen at the emulated controller's end.
+"""A failing line or view stops the arm, as measured at the emulated controller.
 
-The command runs as a process of its own; nothing of it is known here but its bytes on the line.
+The command runs in a subprocess; the test sees only its bytes on the line.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ def test_a_silent_line_stops_the_arm(rig, tmp_path):
     assert run.guided.said().splitlines()[-1].startswith("fingerpost: ")
 
 
-def test_a_cable_pulled_ends_the_command(rig, tmp_path):
+def test_a_pulled_cable_ends_the_command(rig, tmp_path):
     with Travelling(rig, tmp_path) as run:
         run.travel()
         run.arm.emulator.inject(Fault.UNPLUG)
@@ -33,8 +33,8 @@ def test_a_cable_pulled_ends_the_command(rig, tmp_path):
     assert "Traceback" not in run.guided.said()
 
 
-def test_an_error_anywhere_else_stops_the_arm(hand_film, tmp_path):
-    """A frame of another size, in the middle of the film, is an error of the views."""
+def test_an_error_of_the_views_stops_the_arm(hand_film, tmp_path):
+    """A frame of another size, in the middle of the recording, is such an error."""
     sources = still_film(tmp_path / "film", hand_film)
     rig = write_rig(tmp_path, hand_film, sources, z_m=(0.03, 0.4))
     with Travelling(rig, tmp_path) as run:

@@ -1,6 +1,6 @@
-"""A hand, fixes or an operator that are gone stops the arm: seen at the emulated controller's end.
+"""Loss of the hand, the fixes or the operator stops the arm, as measured at the controller.
 
-The command runs as a process of its own; nothing of it is known here but its bytes on the line.
+The command runs in a subprocess; the test sees only its bytes on the line.
 """
 
 import tempfile
@@ -22,7 +22,7 @@ from robot_rig import CrowdedError, best_of_three
 
 GIVE_UP_AFTER_S = 6.0
 MAX_AGE_S = 0.3
-"""Of a fix to move on."""
+"""Greatest age of a fix that may move the arm."""
 OPERATOR_TIMEOUT_S = 1.0
 
 
@@ -31,7 +31,7 @@ def rig(hand_film, tmp_path):
     return write_rig(tmp_path, hand_film, z_m=(0.03, 0.4))
 
 
-def test_a_hand_that_is_lost_stops_the_arm(hand_film, tmp_path):
+def test_a_lost_hand_stops_the_arm(hand_film, tmp_path):
     sources = still_film(tmp_path / "film", hand_film)
     rig = write_rig(tmp_path, hand_film, sources, z_m=(0.03, 0.4))
     with Travelling(rig, tmp_path) as run:
@@ -47,7 +47,7 @@ def test_a_hand_that_is_lost_stops_the_arm(hand_film, tmp_path):
 @best_of_three
 def test_fixes_that_stop_coming_stop_the_arm(hand_film, tmp_path):
     folder = Path(tempfile.mkdtemp(dir=tmp_path))
-    # Again and again, as nobody knows when the command begins to look: the hand comes and moves.
+    # The recording repeats, for the moment at which the command starts to read is unknown.
     films = [
         [path.read_bytes() for path in sorted((hand_film / view).glob("*.jpg"))]
         for view in ("left", "right")
@@ -63,15 +63,15 @@ def test_fixes_that_stop_coming_stop_the_arm(hand_film, tmp_path):
             assert time.monotonic() - stalled_s < MAX_AGE_S + 5 / FPS + STOPPED_S
             run.arm.assert_stopped(aborts, STOPPED_S)
             assert run.guided.end() == 1
-    # Frames that came late by themselves, on a crowded machine, have held the arm before.
+    # On a loaded machine, late frames may have held the arm before the stall.
     reason = run.reasons()[held_before]
     if "are bridged" in reason:
         raise CrowdedError(reason)
-    assert "no picture has come for 0." in reason  # said before any fix is too old
+    assert "no picture has come for 0." in reason  # reported before any fix is too old
     assert "no new frame" in run.guided.said()
 
 
-def test_a_dead_mans_key_let_go_stops_the_arm(rig, tmp_path):
+def test_releasing_the_dead_mans_key_stops_the_arm(rig, tmp_path):
     options = ("--attendance", "key", "--operator-timeout", OPERATOR_TIMEOUT_S)
     with Travelling(rig, tmp_path, *options, terminal=True) as run:
         run.guided.until_said("homing")

@@ -1,4 +1,4 @@
-"""`fingerpost robot pick` as a user meets it, on a film and an emulated Scorbot."""
+"""`fingerpost robot pick` end to end, on a recording and an emulated Scorbot."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ FAST = ("--speed", "0.3", *PATIENT, *BY_HAND)
 
 
 def picking_film(tmp_path, film):
-    """The film, staying longer: before it moves on, and as long as a block takes to be carried."""
+    """Extend both pauses of the recording, the second one for the time to carry a block."""
     frames = [
         *range(HOLD_FRAMES),
         *([HOLD_FRAMES - 1] * 60),
@@ -51,7 +51,7 @@ def test_a_block_is_picked_and_placed_where_the_hand_dwells(hand_film, tmp_path)
         assert word in guided.said()
 
 
-def test_views_that_end_before_the_block_is_placed_make_the_command_fail(hand_film, tmp_path):
+def test_the_command_fails_if_the_views_end_before_the_block_is_placed(hand_film, tmp_path):
     with EmulatedArm() as arm:
         options = ("--url", arm.url, "--arm", "--max-frames", EMPTY_FRAMES + 40, *FAST)
         with Guided("pick", write_rig(tmp_path, hand_film), *options) as guided:
@@ -60,7 +60,7 @@ def test_views_that_end_before_the_block_is_placed_make_the_command_fail(hand_fi
     assert "fixes" in guided.out
 
 
-def test_keys_select_stop_undo_and_continue_on_a_terminal(hand_film, tmp_path):
+def test_keys_select_stop_undo_and_continue(hand_film, tmp_path):
     rig, log = picking_film(tmp_path, hand_film), tmp_path / "commands.csv"
     with EmulatedArm() as arm:
         url = arm.url + "&gripper_s=0.2"
@@ -85,11 +85,11 @@ def test_keys_select_stop_undo_and_continue_on_a_terminal(hand_film, tmp_path):
             assert guided.end() == 0, guided.said()
         assert not arm.is_moving()
     rows = commands(log)
-    assert [row["command"] for row in rows].count("arm") == 2  # the key that undoes arms again
+    assert [row["command"] for row in rows].count("arm") == 2  # the undo key arms again
     assert any(row["detail"] == "stopped by key" for row in rows)
 
 
-def test_every_step_waits_for_a_key_where_that_is_wanted(hand_film, tmp_path):
+def test_with_step_every_step_waits_for_a_key(hand_film, tmp_path):
     rig = picking_film(tmp_path, hand_film)
     with EmulatedArm() as arm:
         url = arm.url + "&gripper_s=0.2"

@@ -1,4 +1,4 @@
-"""The plane by the robot: visits, finders, refusals; on drawn views and with an arm."""
+"""Estimation of the plane by the robot: visits, finders, refusals; rendered and emulated."""
 
 import math
 from contextlib import contextmanager
@@ -62,7 +62,7 @@ PATIENT = {"operator_timeout_s": 1e6, "max_speed_m_s": 1.0}
 
 
 class Rigged:
-    """A simulated robot before a table of which nothing but the gripper's place is seen."""
+    """A simulated robot and blank views; finders are given the gripper's position."""
 
     def __init__(self, *, arm=True, clock=None, **changes):
         self.clock = clock or ManualClock()
@@ -82,7 +82,7 @@ class Rigged:
         return np.array(self.robot.position[:3])
 
     def given(self, *, seed=0, sigma_px=0.3, wrong=lambda *_: None):
-        """Finders that know where the gripper is, but for some noise and what is `wrong`."""
+        """Return finders that know the gripper's position up to noise and the errors `wrong`."""
         rng = np.random.default_rng(seed)
         calls = [0, 0]
 
@@ -107,7 +107,7 @@ class Rigged:
 
 
 def errors_m(found, points, z_m=HEIGHT_M):
-    """How far each view's plane is from the truth at points of the robot's plane [m]."""
+    """Return the errors of each view's plane at points of the robot's plane [m]."""
     points = np.asarray(points, dtype=float)
     world = np.column_stack([points, np.full(len(points), z_m)])
     return np.array(
@@ -121,7 +121,7 @@ def errors_m(found, points, z_m=HEIGHT_M):
 # Visits.
 
 
-def test_the_plane_is_found_where_it_is():
+def test_the_estimated_plane_is_accurate():
     rigged = Rigged()
     found = rigged.define(rigged.given())
     assert found.left_out == {}
@@ -132,14 +132,14 @@ def test_the_plane_is_found_where_it_is():
     assert found.lines()[0] == "plane at Z = 0.0200 m by 9 of 9 places"
 
 
-def test_fifty_millimetres_up_the_same():
+def test_a_plane_50_mm_higher_is_as_accurate():
     rigged = Rigged(height_m=HEIGHT_M + 0.05)
     found = rigged.define(rigged.given())
     assert found.height_m == pytest.approx(HEIGHT_M + 0.05)
     assert errors_m(found, REGION_M, HEIGHT_M + 0.05).max() < 4 * found.sigma_m.max()
 
 
-def test_places_are_reached_from_above_and_left_upwards():
+def test_places_are_approached_and_left_vertically():
     rigged = Rigged()
     rigged.define(rigged.given(), lift_m=0.04)
     goals = [r.pose for r in rigged.guard.records if r.command == "visit"]
@@ -151,7 +151,7 @@ def test_places_are_reached_from_above_and_left_upwards():
     assert all(rigged.guard.region.contains((g.x_m, g.y_m), g.z_m - HEIGHT_M) for g in goals)
 
 
-def test_only_frames_of_a_standing_arm_count():
+def test_only_frames_of_an_arm_at_rest_count():
     rigged = Rigged()
     seen = []
 
@@ -189,11 +189,11 @@ def test_a_second_run_agrees_within_the_covariance_of_both():
             for k, rigged in enumerate((Rigged(), Rigged()))
         )
         for a, b in zip(first.ties, second.ties, strict=True):
-            # Four points' pixels carry all that a homography says.
+            # The pixels of four points determine a homography.
             apart = (a.plane_view.project(REGION_M) - b.plane_view.project(REGION_M)).ravel()
             Σ = _pixels_covariance(a) + _pixels_covariance(b)
             distances.append(float(apart @ np.linalg.solve(Σ, apart)))
-    # The mean of 24 such is 8 ± 0.8.
+    # The mean of 24 such values is 8 ± 0.8.
     assert 8 - 4 * 0.82 < np.mean(distances) < 8 + 4 * 0.82
 
 
@@ -208,7 +208,7 @@ def _pixels_covariance(tie):
 # Wrong places.
 
 
-def test_a_wrong_detection_is_visited_again_and_then_counts():
+def test_a_place_with_a_wrong_detection_is_visited_again():
     rigged = Rigged()
     wrong = rigged.given(wrong=lambda visit, view: [30, 5] if visit == (3, 4) and view else None)
     found = rigged.define(wrong)
@@ -218,7 +218,7 @@ def test_a_wrong_detection_is_visited_again_and_then_counts():
     assert errors_m(found, REGION_M).max() < 4 * found.sigma_m.max()
 
 
-def test_one_that_stays_wrong_is_left_out_by_name():
+def test_a_repeatedly_wrong_place_is_left_out_and_named():
     rigged = Rigged()
     found = rigged.define(
         rigged.given(wrong=lambda visit, view: [30, 5] if visit[0] == 3 and not view else None)
@@ -231,7 +231,7 @@ def test_one_that_stays_wrong_is_left_out_by_name():
     assert len(rig.plane.points) == len(rig.views[1].reference_points_px) == 8
 
 
-def test_one_that_is_not_seen_is_left_out_by_name():
+def test_a_place_without_a_detection_is_left_out_and_named():
     rigged = Rigged()
     found = rigged.define(
         rigged.given(wrong=lambda visit, view: [np.nan] * 2 if visit[0] == 6 and view else None)
@@ -240,14 +240,14 @@ def test_one_that_is_not_seen_is_left_out_by_name():
     assert found.as_dict()["left_out"] == {"7": "not found in view right: no pixel is given"}
 
 
-def test_a_gripper_that_is_hardly_ever_seen_is_an_error():
+def test_a_gripper_that_is_seldom_found_is_an_error():
     rigged = Rigged()
     unseen = rigged.given(wrong=lambda visit, _: [np.nan] * 2 if visit[0] > 2 else None)
     with pytest.raises(GripperNotFoundError, match=r"found at 3 of 9 places.* at 6: not found"):
         rigged.define(unseen)
 
 
-def test_places_that_contradict_each_other_are_an_error():
+def test_inconsistent_places_are_an_error():
     rigged = Rigged()
     rng = np.random.default_rng(1)
     confused = rigged.given(wrong=lambda *_: rng.normal(0, 4, 2))
@@ -255,13 +255,13 @@ def test_places_that_contradict_each_other_are_an_error():
         rigged.define(confused, revisits=0)
 
 
-def test_a_plane_that_stays_uncertain_is_refused():
+def test_an_uncertain_plane_is_refused():
     rigged = Rigged()
     with pytest.raises(PoorPlaneError, match=r"at most 0\.3 mm will do"):
         rigged.define(rigged.given(), max_sigma_m=0.0003)
 
 
-# Nothing moves that should not.
+# Refused motions.
 
 
 def test_nothing_is_visited_without_arming():
@@ -294,7 +294,7 @@ def test_a_stop_ends_the_visits():
     assert not rigged.guard.armed
 
 
-def test_views_that_stop_or_lag_are_an_error():
+def test_lagging_views_are_an_error():
     rigged = Rigged()
 
     def lagging():
@@ -306,16 +306,16 @@ def test_views_that_stop_or_lag_are_an_error():
         rigged.define(rigged.given())
 
 
-def test_a_finder_for_every_view():
+def test_every_view_needs_a_finder():
     rigged = Rigged()
     with pytest.raises(InvalidInputError, match="1 finders for 2 views"):
         rigged.define(rigged.given()[:1])
 
 
-# The rig that follows.
+# The resulting rig.
 
 
-def test_the_rig_holds_everything_and_comes_back(tmp_path):
+def test_the_rig_file_round_trips(tmp_path):
     rigged = Rigged()
     found = rigged.define(rigged.given())
     rig = found.rig(cameras(), rigged.table)
@@ -334,7 +334,7 @@ def test_the_rig_holds_everything_and_comes_back(tmp_path):
             )
 
 
-def test_a_rig_without_robot_or_in_other_units_guides_nothing():
+def test_a_rig_without_robot_or_in_other_units_is_refused():
     rig = cameras()
     with pytest.raises(RigError, match=r"no \[robot\] table"):
         robot_of(rig)
@@ -344,7 +344,7 @@ def test_a_rig_without_robot_or_in_other_units_guides_nothing():
         robot_of(msgspec.structs.replace(rig, robot=table()))
 
 
-def test_the_table_becomes_plane_region_and_guard():
+def test_the_robot_table_defines_plane_region_and_guard():
     fields = table(pitch_deg=-90.0, roll_deg=10.0)
     plane = plane_of(fields)
     assert plane.pose([0.4, 0.1], 0.05) == Pose(
@@ -355,7 +355,7 @@ def test_the_table_becomes_plane_region_and_guard():
     assert region.highest_m == pytest.approx(0.25 - HEIGHT_M)
 
 
-def test_the_gripper_is_held_down_as_far_as_the_arm_can():
+def test_the_gripper_points_down_as_far_as_the_arm_allows():
     robot = SimulatedRobot(SimulatedOptions(homing_s=0.0))
     pose = Pose(0.3, 0.0, 0.3, pitch_rad=-1.0, roll_rad=math.radians(30.0))
     assert held_down(robot, pose) == pytest.approx({"pitch_deg": -90.0, "roll_deg": 30.0})
@@ -373,7 +373,7 @@ def test_a_marker_at_the_tip():
 
 
 def test_a_tip_in_the_markers_plane_below_it():
-    """The marker leans on the gripper; its lower edge, carried on, holds the tip."""
+    """The marker is tilted; the tip lies in its plane, on the extension of its vertical axis."""
     below = 1.2  # sides of the marker, below its centre
     down = np.array([*(_turned(0.0, -math.sin(TILT_RAD))), -math.cos(TILT_RAD)])
     rigged = Rigged()
@@ -382,7 +382,7 @@ def test_a_tip_in_the_markers_plane_below_it():
     assert errors_m(found, REGION_M).max() < 0.002
     assert errors_m(found, REGION_M).max() < 4 * found.sigma_m.max()
     far = found.visits[0].sightings[0].covariance_px2
-    assert np.sqrt(np.linalg.eigvalsh(far)[-1]) > 0.2  # carried on, the corners' errors grow
+    assert np.sqrt(np.linalg.eigvalsh(far)[-1]) > 0.2  # extrapolation magnifies the corners' errors
 
 
 def _turned(x, y):
@@ -391,7 +391,7 @@ def _turned(x, y):
 
 
 def test_a_marker_at_a_known_offset():
-    """Its centre visits the plane; the tip goes below it."""
+    """The marker's centre visits the plane, with the tip at an offset."""
     offset = (0.012, -0.02, 0.03)
     rigged = Rigged(height_m=0.06)
     rigged.views.draw = lambda at, **_: draw_marker(at, centre_m=offset)
@@ -402,7 +402,7 @@ def test_a_marker_at_a_known_offset():
     assert errors_m(found, REGION_M, 0.06).max() < 0.0006
 
 
-def test_no_marker_or_two_are_not_found():
+def test_no_marker_and_two_markers_are_errors():
     finder = MarkerFinder(3)
     left = draw_marker([0.43, 0.1, HEIGHT_M])[0]
     finder.find(0, [Frame(0, 0.0, left)], [])
@@ -413,7 +413,7 @@ def test_no_marker_or_two_are_not_found():
         MarkerFinder(4).find(0, [Frame(0, 0.0, left)], [])
 
 
-def test_a_markers_covariance_meets_monte_carlo():
+def test_a_markers_covariance_matches_monte_carlo():
     finder = MarkerFinder(3, tip=(0.3, 1.5), sigma_px=0.2)
     frame = Frame(0, 0.0, draw_marker([0.43, 0.1, HEIGHT_M])[0])
     corners = finder._corners(frame)
@@ -432,24 +432,24 @@ def test_a_markers_covariance_meets_monte_carlo():
         ({"sigma_px": 0.0}, "sigma_px"),
     ],
 )
-def test_markers_that_are_none(fields, words):
+def test_invalid_markers_are_refused(fields, words):
     with pytest.raises(InvalidInputError, match=words):
         MarkerFinder(**fields)
 
 
-def test_motion_shows_the_gripper():
+def test_motion_finds_the_gripper():
     rng = np.random.default_rng(6)
     rigged = Rigged()
     rigged.views.draw, rigged.views.rng = draw_gripper, rng
     found = rigged.define([MotionFinder() for _ in NAMES])
     assert found.left_out == {}
     assert max(tie.rms_px for tie in found.ties) < 0.6
-    # A rod ends 4 mm of radius before its outline does: 0.7 px.
+    # The outline ends one radius, 4 mm or 0.7 px, beyond the rod's axis.
     assert errors_m(found, REGION_M).max() < 0.003
 
 
 @pytest.mark.parametrize("towards_deg", [0.0, 90.0, 180.0, 270.0])
-def test_motion_looks_the_way_it_is_told(towards_deg):
+def test_motion_finds_the_end_in_the_given_direction(towards_deg):
     image = BLANK.copy()
     cv2.ellipse(image, (300, 200), (60, 30), 0.0, 0, 360, 200, -1)
     frames = [Frame(0, 0.0, image)]
@@ -458,7 +458,7 @@ def test_motion_looks_the_way_it_is_told(towards_deg):
     np.testing.assert_allclose(found, expected[towards_deg], atol=1.6)
 
 
-def test_what_stands_about_does_not_count_as_motion():
+def test_static_objects_do_not_count_as_motion():
     image, before = BLANK.copy(), BLANK.copy()
     for one in (image, before):
         cv2.rectangle(one, (100, 300), (160, 400), 255, -1)
@@ -474,7 +474,7 @@ def test_what_stands_about_does_not_count_as_motion():
         assert sighting.pixel_px[1] == pytest.approx(150, abs=1.6)
 
 
-def test_motion_that_is_none_or_leaves_the_image():
+def test_missing_motion_and_motion_beyond_the_image_are_errors():
     finder = MotionFinder()
     for image, elsewhere, words in (
         (BLANK, [], "elsewhere"),
@@ -490,7 +490,7 @@ def test_motion_that_is_none_or_leaves_the_image():
 
 
 def _standing_start(guard, view, z_m):
-    """Where a view sees the gripper over the middle of the region."""
+    """Return a view's start pose of the gripper above the middle of the region."""
     at = np.array([*guard.allowed.centre, z_m])
     tip, above = pixel(view, at), pixel(view, at + np.array([0, 0, 0.08]))
     along = tip - above
@@ -520,7 +520,7 @@ def test_the_tracker_follows_the_gripper(traced, tmp_path):
 
 
 def _traced_rod(tip, above, half_width_px=2.9):
-    """The axis and then the outline of a rod, right flank first, as a person would click them."""
+    """Return axis and outline of a rod, right flank first, as a person would click them."""
     e = (tip - above) / np.linalg.norm(tip - above)
     n = np.array([-e[1], e[0]])
     start = above + 0.1 * (tip - above)
@@ -532,7 +532,7 @@ def _traced_rod(tip, above, half_width_px=2.9):
     return np.vstack([above, tip, right, cap[1:-1], left])
 
 
-def test_a_tracker_without_a_gripper_says_so():
+def test_a_tracker_without_a_gripper_reports_its_state():
     finder = ContourFinder(Template.pistol("none"), StartPose((320, 240), 1.5, 60))
     with pytest.raises(GripperNotFoundError, match="tracker: acquiring"):
         finder.find(0, [Frame(0, 0.0, BLANK)], [])
@@ -565,7 +565,7 @@ def test_pixels_from_a_file(tmp_path):
         ("", "no column"),
     ],
 )
-def test_pixels_that_are_none(tmp_path, text, words):
+def test_invalid_pixel_files_are_refused(tmp_path, text, words):
     path = tmp_path / "pixels.csv"
     path.write_text(text)
     with pytest.raises(InvalidInputError, match=words):
@@ -582,14 +582,14 @@ def test_pixels_that_are_none(tmp_path, text, words):
         ("1,2\n1,2\n" * 4, "outline.csv"),
     ],
 )
-def test_outlines_that_are_none(tmp_path, text, words):
+def test_invalid_outline_files_are_refused(tmp_path, text, words):
     path = tmp_path / "outline.csv"
     path.write_text(text)
     with pytest.raises(InvalidInputError, match=words):
         load_outline(path)
 
 
-# With the paper's robot.
+# With the paper's robot, a Scorbot.
 
 
 @contextmanager
@@ -605,7 +605,7 @@ def scorbot_plane(**options):
         yield rig, guard
 
 
-def test_the_scorbot_defines_a_plane_through_its_bytes():
+def test_an_emulated_scorbot_defines_a_plane():
     with scorbot_plane() as (rig, guard):
 
         def frames():
@@ -618,6 +618,6 @@ def test_the_scorbot_defines_a_plane_through_its_bytes():
         ]
         options = PlaneOptions(settle_s=0.1, frames=1, points=6, speed_m_s=0.3)
         found = define_plane(guard, cameras(), frames, finders, options)
-        # The arm's own rounding, 0.1 mm, is all the error there is.
+        # The only error is the arm's rounding to 0.1 mm.
         assert errors_m(found, REGION_M, HEIGHT_M).max() < 0.0006
         assert found.height_m == pytest.approx(HEIGHT_M, abs=2e-4)

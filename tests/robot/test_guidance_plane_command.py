@@ -1,4 +1,4 @@
-"""`fingerpost robot plane` as a user meets it: live views and an emulated Scorbot."""
+"""`fingerpost robot plane` end to end, with live views and an emulated Scorbot."""
 
 import contextlib
 import json
@@ -28,7 +28,7 @@ BLANK = jpeg(np.full((480, 640), 60, np.uint8))
 
 
 def write_cameras(folder, urls):
-    """A rig file without a plane, as one has it before the robot has defined one."""
+    """Write a rig file without a plane, the state before the robot has defined one."""
     views = [
         f'[[view]]\nname = "{name}"\nsource = "{url}"\n'
         for name, url in zip(NAMES, urls, strict=True)
@@ -39,7 +39,7 @@ def write_cameras(folder, urls):
 
 
 def marker_films(arm):
-    """Films of the marker on the gripper of an arm, wherever it is."""
+    """Return pictures of the marker at the arm's present gripper position, for every view."""
 
     def film(view):
         return lambda: jpeg(draw_marker(arm.pose().position_m)[view])
@@ -48,7 +48,7 @@ def marker_films(arm):
 
 
 def errors_m(rig, z_m):
-    """How far the views' planes are from the truth at the corners of the region."""
+    """Yield the largest error of each view's plane at the corners of the region [m]."""
     world = np.column_stack([REGION_M, np.full(4, z_m)])
     for k, view in enumerate(rig.views):
         plane_view = PlaneView.from_reference_points(
@@ -82,11 +82,11 @@ def test_a_marker_on_the_gripper_defines_the_plane(tmp_path, up_m):
     assert guided.said().count("found") == 6
     visits = [row for row in commands(log) if row["command"] == "visit"]
     assert len(visits) == 18
-    # What was written is what the other commands read.
+    # The other commands can read the written file.
     guard_of(SimulatedRobot(), defined)
 
 
-def test_given_pixels_define_it_too_and_json_tells_all(tmp_path):
+def test_given_pixels_define_the_plane_and_json_reports_all(tmp_path):
     output, pixels = tmp_path / "plane.toml", tmp_path / "pixels.csv"
     with EmulatedArm(5.0) as arm, JpegStreams([[BLANK]] * 2) as streams:
         cameras = write_cameras(tmp_path, streams.urls)
@@ -94,15 +94,15 @@ def test_given_pixels_define_it_too_and_json_tells_all(tmp_path):
         options = ("--finder", "pixels", "--pixels", pixels, "--points", 5, "--json", "--arm")
         with Guided("plane", cameras, arm.url, *PLACE, *options, "-o", output) as guided:
             assert guided.end(60) == 0, guided.said()
-    told = json.loads(guided.out)
-    assert told["left_out"] == {}
-    assert [view["name"] for view in told["views"]] == list(NAMES)
-    assert np.shape(told["views"][0]["entries_covariance"]) == (9, 9)
+    result = json.loads(guided.out)
+    assert result["left_out"] == {}
+    assert [view["name"] for view in result["views"]] == list(NAMES)
+    assert np.shape(result["views"][0]["entries_covariance"]) == (9, 9)
     assert max(errors_m(Rig.load(output), HEIGHT_M)) < 0.001
 
 
 def write_pixels(path, count):
-    """Where the views show the gripper at each of so many places."""
+    """Write the gripper's pixels in the views at `count` places."""
     allowed = guard_of(SimulatedRobot(), table(z_m=(0.005, 0.3))).allowed
     places = np.column_stack([spread_places(allowed, count), np.full(count, HEIGHT_M)])
     rows = [
@@ -113,7 +113,7 @@ def write_pixels(path, count):
     path.write_text("\n".join(["place,view,u,v", *rows]))
 
 
-def test_a_gripper_that_is_not_there_is_one_line_and_no_file(tmp_path):
+def test_a_missing_gripper_is_one_line_and_no_file(tmp_path):
     output = tmp_path / "plane.toml"
     with EmulatedArm(8.0) as arm, JpegStreams([[BLANK]] * 2) as streams:
         cameras = write_cameras(tmp_path, streams.urls)
@@ -127,7 +127,7 @@ def test_a_gripper_that_is_not_there_is_one_line_and_no_file(tmp_path):
     assert not output.exists()
 
 
-def test_a_signal_in_the_middle_of_the_visits_stops_the_arm(tmp_path):
+def test_a_signal_during_the_visits_stops_the_arm(tmp_path):
     log = tmp_path / "commands.csv"
     with EmulatedArm(2.0) as arm, JpegStreams([[BLANK]] * 2) as streams:
         cameras = write_cameras(tmp_path, streams.urls)
@@ -142,7 +142,7 @@ def test_a_signal_in_the_middle_of_the_visits_stops_the_arm(tmp_path):
     assert halts[0] == "signal SIGINT"
 
 
-def test_a_rig_that_cannot_be_saved_after_all_is_printed(tmp_path):
+def test_a_rig_that_cannot_be_saved_is_printed(tmp_path):
     output, pixels = tmp_path / "plane.toml", tmp_path / "pixels.csv"
     with EmulatedArm(5.0) as arm, JpegStreams([[BLANK]] * 2) as streams:
         cameras = write_cameras(tmp_path, streams.urls)
@@ -157,7 +157,7 @@ def test_a_rig_that_cannot_be_saved_after_all_is_printed(tmp_path):
     assert "plane.toml: cannot be written" in guided.said().splitlines()[-1]
 
 
-def test_a_log_that_fails_with_the_last_stop_loses_no_plane(tmp_path, monkeypatch):
+def test_a_log_error_at_the_last_stop_loses_no_plane(tmp_path, monkeypatch):
     def log(record):
         if record.command == "halt":
             raise RecordingError("commands.csv: cannot be written: No space left on device")
@@ -178,7 +178,7 @@ def test_a_log_that_fails_with_the_last_stop_loses_no_plane(tmp_path, monkeypatc
     assert output.read_text() == "the plane"
 
 
-def test_a_folder_for_pictures_that_is_none_is_refused_before_consent_is_asked(tmp_path):
+def test_an_unusable_picture_folder_is_refused_before_consent_is_asked(tmp_path):
     cameras = write_cameras(tmp_path, ["a.mp4", "b.mp4"])
     options = ("--finder", "pixels", "--pictures", cameras, *PLACE, "-o", tmp_path / "plane.toml")
     with Guided("plane", cameras, "sim://", *options, terminal=True) as guided:
@@ -187,7 +187,7 @@ def test_a_folder_for_pictures_that_is_none_is_refused_before_consent_is_asked(t
     assert f"--pictures {cameras}: nothing can be saved there: File exists" in line
 
 
-def test_a_pixel_that_is_none_is_asked_for_again(tmp_path, monkeypatch, capsys):
+def test_an_invalid_pixel_is_asked_for_again(tmp_path, monkeypatch, capsys):
     answers = iter(["3200 240", "nan nan", "12", "12, 13"])
     monkeypatch.setattr(click, "prompt", lambda *_, **__: next(answers))
     ask = _asking("left", tmp_path)
@@ -235,7 +235,7 @@ def refused(*arguments):
         (("-o", f"{'x' * 300}.toml"), "File name too long"),
     ],
 )
-def test_what_cannot_be_used_is_refused_before_anything_moves(tmp_path, change, words):
+def test_unusable_options_are_refused_before_anything_moves(tmp_path, change, words):
     cameras = write_cameras(tmp_path, ["a.mp4", "b.mp4"])
     options = ("-o", tmp_path / "plane.toml", "--arm", *PLACE, *change)
     assert words in refused("plane", cameras, "acl:///dev/nothing", *options)

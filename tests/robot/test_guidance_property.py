@@ -1,7 +1,7 @@
-"""No command ever leaves the safe region or passes on an ellipse larger than the tolerance.
+"""No command leaves the safe region or is sent on a confidence ellipse larger than the tolerance.
 
-Whatever is asked, in whatever order: following, moving, visiting, selecting, picking and placing,
-over any region and any tie of plane and robot. Once it has entered, the arm itself stays inside.
+This holds for following, moving, visiting, selecting, picking and placing in any order, over any
+region and any homography between plane and robot. Once inside, the arm itself stays inside as well.
 """
 
 import contextlib
@@ -13,7 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from robot_rig import ManualClock
 from scipy.spatial import ConvexHull
-from test_robot_guard import NotedRobot, fix_at
+from test_robot_guard import GoalRecorder, fix_at
 
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.pointing import Status
@@ -35,7 +35,7 @@ from fingerpost.uncertainty import confidence_ellipse
 
 TOLERANCE_M = 0.01
 PATH_M = 1e-6
-"""Rounding of a straight way's own arithmetic."""
+"""Rounding in the interpolation of a straight path."""
 
 scenes = st.fixed_dictionaries(
     {
@@ -53,7 +53,7 @@ SHARES = (0.4, 0.15, 0.1, 0.15, 0.1, 0.05, 0.05)
 
 
 def draw_actions(rng, count):
-    """Actions, most of them of a hand that is seen well, the others of every other kind."""
+    """Draw actions, most of them on good fixes, the others on fixes of all kinds."""
     for _ in range(count):
         yield (
             str(rng.choice(ACTIONS, p=SHARES)),
@@ -67,7 +67,7 @@ def draw_actions(rng, count):
 
 
 def scene(fields):
-    """A plane of millimetres, leaning and sloping before a robot, and a region on it."""
+    """Return a plane in millimetres, with perspective and slope, and a region on it."""
     rng = np.random.default_rng(fields["seed"])
     scatter = rng.normal(size=(fields["corners"] + 2, 2)) * [60.0, 60.0 * fields["stretch"]]
     corners = scatter[ConvexHull(scatter).vertices]
@@ -77,26 +77,26 @@ def scene(fields):
     return plane, SafeRegion(corners, 0.01, 0.11)
 
 
-class Watched(NotedRobot):
-    """Notes where it is whenever its time is asked for on the way."""
+class PathRecorder(GoalRecorder):
+    """Also records its positions during the pauses of a motion."""
 
     def __init__(self, clock):
         super().__init__(clock)
         self.been = []
         sleep = clock.sleep
 
-        def noting(span_s):
+        def recording_sleep(span_s):
             end_s = clock() + span_s
             for part in (4, 3, 2, 1):
                 sleep((end_s - clock()) / part)
                 self.been.append(np.array(self.position[:3]))
 
-        clock.sleep = noting
-        self._sleep_for = noting
+        clock.sleep = recording_sleep
+        self._sleep_for = recording_sleep
 
 
 def good_enough(plane, fix, now_s):
-    """Whether a fix may move the arm, worked out anew."""
+    """Return whether a fix may move the arm, computed independently of the guard."""
     if fix.status is not Status.OK or now_s - fix.time_s > 0.3:
         return False
     ellipse = confidence_ellipse(
@@ -111,17 +111,17 @@ def test_no_command_leaves_the_region_or_passes_the_gate(fields, count):
     drawn = list(draw_actions(np.random.default_rng(fields["seed"]), count))
     plane, region = scene(fields)
     clock = ManualClock()
-    robot = Watched(clock)
+    robot = PathRecorder(clock)
     robot.connect()
     robot.home()
     options = GuardOptions(operator_timeout_s=1e6, tolerance_m=TOLERANCE_M, max_speed_m_s=1.0)
     try:
         guard = Guard(robot, plane, region, options, clock=clock)
     except InvalidInputError:
-        assume(False)  # too small for its rim, or over the horizon
+        assume(False)  # smaller than its margin, or beyond the horizon
     guard.arm()
     guard.enter()
-    robot.told.clear()
+    robot.goals.clear()
     robot.been.clear()
     follower = Follower(guard, FollowOptions(above_m=max(0.0, drawn[0][2]), speed_m_s=0.5))
     selector = DwellSelector(guard)
@@ -131,7 +131,7 @@ def test_no_command_leaves_the_region_or_passes_the_gate(fields, count):
         axes = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
         Σ = axes @ np.diag([a * a, b * b]) @ axes.T
         fix = fix_at(point, clock() - age_s, (Σ + Σ.T) / 2, status)
-        told, now_s = len(robot.told), clock()
+        sent, now_s = len(robot.goals), clock()
         with contextlib.suppress(FingerpostError):
             if action == "follow":
                 follower.update(fix)
@@ -148,10 +148,10 @@ def test_no_command_leaves_the_region_or_passes_the_gate(fields, count):
                 guard.hold("drawn")
             elif action == "enter":
                 guard.enter()
-        if action in ("follow", "move") and len(robot.told) > told:
+        if action in ("follow", "move") and len(robot.goals) > sent:
             assert good_enough(plane, fix, now_s)
         guard.check()
-    for pose in robot.told:
+    for pose in robot.goals:
         assert region.contains(plane.point(pose.position_m[:2]), plane.above_m(pose)), pose
     for x, y, z in robot.been:
         above_m = z - (plane.height_m + float(plane.slope @ [x, y]))
@@ -165,33 +165,33 @@ def _heights(above_m):
 
 
 def armed(fields):
-    """A guarded robot over a scene, inside its region."""
+    """Return a guarded robot inside the region of a scene, armed."""
     plane, region = scene(fields)
     clock = ManualClock()
-    robot = NotedRobot(clock)
+    robot = GoalRecorder(clock)
     robot.connect()
     robot.home()
     guard = Guard(robot, plane, region, GuardOptions(operator_timeout_s=1e6), clock=clock)
     guard.arm()
     guard.enter()
-    robot.told.clear()
+    robot.goals.clear()
     return guard, robot, clock
 
 
 PLAIN = {"seed": 1, "corners": 6, "stretch": 1.0, "lean": 0.0, "slope": 0.0, "turn": 0.0}
 
 
-def test_a_guard_that_does_not_clamp_would_leave_the_region():
-    """The check itself can fail."""
+def test_a_guard_without_clamping_leaves_the_region():
+    """Checks that the property test can fail."""
     guard, robot, clock = armed(PLAIN)
     guard.clamp = lambda point, above_m: (np.asarray(point), above_m)
     guard.move([250.0, 0.0], 0.05, fix=fix_at([250.0, 0.0], clock()), needs=Presence.FIX)
-    (pose,) = robot.told
+    (pose,) = robot.goals
     plane = guard.plane
     assert not guard.region.contains(plane.point(pose.position_m[:2]), plane.above_m(pose))
 
 
-def test_a_place_outside_is_refused_to_visits_and_to_picking():
+def test_visits_and_picking_outside_the_region_are_refused():
     guard, robot, clock = armed(PLAIN)
     centre = guard.region.centre
     for point, above_m in (([900.0, 0.0], 0.05), (centre, 0.5), (centre, 0.005)):
@@ -200,4 +200,4 @@ def test_a_place_outside_is_refused_to_visits_and_to_picking():
     outside = Selection(np.array([900.0, 0.0]), fix_at([900.0, 0.0], clock()))
     with pytest.raises(InvalidInputError, match="outside the safe region"):
         PickPlace(guard, outside, outside)
-    assert robot.told == []
+    assert robot.goals == []

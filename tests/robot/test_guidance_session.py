@@ -1,4 +1,4 @@
-"""Keys, the log of commands, the worker, and recordings played as if live."""
+"""Keys, the command log, the worker, and recordings played in real time."""
 
 import contextlib
 import os
@@ -42,7 +42,7 @@ def terminal():
             os.close(end)
 
 
-def test_keys_come_one_by_one_and_the_terminal_is_left_as_it_was(terminal):
+def test_keys_arrive_one_by_one_and_the_terminal_is_restored(terminal):
     ours, theirs = terminal
     before = termios.tcgetattr(theirs)
     pressed = []
@@ -55,7 +55,7 @@ def test_keys_come_one_by_one_and_the_terminal_is_left_as_it_was(terminal):
     assert termios.tcgetattr(theirs) == before
 
 
-def test_a_terminal_that_is_gone_is_told_once(terminal):
+def test_a_closed_terminal_is_reported(terminal):
     ours, theirs = terminal
     gone = threading.Event()
     with Keys(lambda _: None, gone.set, descriptor=theirs):
@@ -63,7 +63,7 @@ def test_a_terminal_that_is_gone_is_told_once(terminal):
         assert gone.wait(5.0)
 
 
-def test_a_key_that_fails_keeps_no_later_one_from_stopping(terminal):
+def test_an_error_of_one_key_blocks_no_later_stop_key(terminal):
     ours, theirs = terminal
     pressed = []
 
@@ -107,7 +107,7 @@ def test_the_log_holds_command_and_cause(tmp_path):
     path = tmp_path / "commands.csv"
     with CommandLog(path) as log:
         log(record())
-        assert len(commands(path)) == 1  # at once, not at the end
+        assert len(commands(path)) == 1  # written at once, not at the end
         log(record(command="halt", pose=None, fix=None))
         log(record(fix=fix_at(None, 4.0, status=Status.LOST), outcome="fix is lost"))
     moved, halted, refused = commands(path)
@@ -120,7 +120,7 @@ def test_the_log_holds_command_and_cause(tmp_path):
     assert refused["outcome"] == "fix is lost"
 
 
-def test_rows_of_many_threads_stay_whole(tmp_path):
+def test_rows_of_many_threads_are_not_interleaved(tmp_path):
     path = tmp_path / "commands.csv"
     with CommandLog(path) as log:
         threads = [
@@ -133,7 +133,7 @@ def test_rows_of_many_threads_stay_whole(tmp_path):
     assert [row["detail"] for row in commands(path)] == ["a, b"] * 200
 
 
-def test_a_log_that_cannot_be_written(tmp_path):
+def test_an_unwritable_log_is_an_error(tmp_path):
     with pytest.raises(RecordingError, match="no/such"):
         CommandLog(tmp_path / "no" / "such")
     with CommandLog("/dev/null") as log:
@@ -143,7 +143,7 @@ def test_a_log_that_cannot_be_written(tmp_path):
             CommandLog("/dev/full")
 
 
-def test_the_worker_does_the_newest_of_what_waits():
+def test_the_worker_runs_the_newest_waiting_job():
     done, go = [], threading.Event()
     with Worker() as worker:
         worker.offer(lambda: (go.wait(5.0), done.append("first")))
@@ -156,7 +156,7 @@ def test_the_worker_does_the_newest_of_what_waits():
     assert done == ["first", "third"]
 
 
-def test_what_a_job_raises_is_raised_where_it_can_be_seen():
+def test_the_error_of_a_job_is_raised_at_the_next_check():
     def fail():
         raise ValueError("a job's")
 
@@ -169,7 +169,7 @@ def test_what_a_job_raises_is_raised_where_it_can_be_seen():
 
 
 class Attended:
-    """A guard of which only the operator counts."""
+    """A guard reduced to its `attended` context."""
 
     is_attended = False
 
@@ -180,7 +180,7 @@ class Attended:
         self.is_attended = False
 
 
-def test_the_operator_is_there_until_the_first_step_and_no_longer():
+def test_the_operator_counts_as_present_until_the_first_step_only():
     guard = Attended()
 
     def steps():
@@ -192,7 +192,7 @@ def test_the_operator_is_there_until_the_first_step_and_no_longer():
     assert list(attended_at_first(guard, steps())) == ["first", "second"]
 
 
-def test_where_there_is_no_step_there_is_no_first():
+def test_without_steps_the_operator_does_not_stay_present():
     guard = Attended()
     assert list(attended_at_first(guard, iter(()))) == []
     assert not guard.is_attended
@@ -210,7 +210,7 @@ class Clock:
 
 
 def played(film, *works_s):
-    """When each step of a film was given, and its frames, to one who works so long on each."""
+    """Return the time and frames of each step for a consumer that takes `works_s` per step."""
     clock, steps = Clock(), []
     given = at_speed(iter(film), stamped=True, clock=clock, sleep=clock.sleep)
     for frames, work_s in zip(given, works_s, strict=True):
@@ -231,7 +231,7 @@ def test_a_recording_plays_in_its_own_time():
     assert [frames[0].index for _, frames in steps] == [0, 1, 2, 3]
 
 
-def test_a_recording_waits_for_whoever_is_slower():
+def test_a_recording_waits_for_a_slower_consumer():
     steps = played(film(6), 0.03, 0.35, 0.13, 0.0, 0.25, 0.0)
     given_s = [100.0, 100.1, 100.45, 100.58, 100.68, 100.93]
     assert [now_s for now_s, _ in steps] == pytest.approx(given_s)
@@ -247,20 +247,20 @@ def test_views_with_rates_of_their_own_keep_their_times():
     assert [now_s for now_s, _ in played_steps] == pytest.approx([100.0, 100.35, 100.45, 100.55])
 
 
-def test_frames_that_were_not_taken_together_are_not_stamped_together():
+def test_frames_of_different_times_get_different_stamps():
     left, right = film(2)[0][0], film(2)[1][0]
     ((now_s, frames),) = played([(left, right)], 0.0)
     assert now_s == 100.0
     assert [frame.time_s for frame in frames] == pytest.approx([99.9, 100.0])
 
 
-def test_before_the_first_frame_nothing_is_due():
+def test_playback_starts_with_the_first_frame():
     steps = played([(None, None), *film(2)], 7.0, 0.0, 0.0)
     assert steps[0] == (100.0, [None, None])
     assert [now_s for now_s, _ in steps[1:]] == pytest.approx([107.0, 107.1])
 
 
-def test_the_report_tells_the_lag_of_the_smoothing():
+def test_the_report_states_the_lag_of_the_smoothing():
     report = SessionReport()
     report.fixes.update(["ok"] * 4 + ["lost"])
     for state, lag_s in (("moving", 0.0), ("moving", 0.02), ("there", 0.15), ("there", 0.16)):

@@ -1,6 +1,6 @@
-"""A signal that ends or suspends the program stops the arm: seen at the emulated controller's end.
+"""A signal that ends or suspends the program stops the arm, as measured at the controller.
 
-The command runs as a process of its own; nothing of it is known here but its bytes on the line.
+The command runs in a subprocess; the test sees only its bytes on the line.
 """
 
 import signal
@@ -29,7 +29,7 @@ def test_a_signal_stops_the_arm(rig, tmp_path, number, code):
         run.arm.assert_stopped(aborts, STOPPED_S)
         assert run.guided.end() == code
         assert run.reasons()[0] == f"signal {number.name}"
-        assert "fixes" in run.guided.out  # what was done is reported all the same
+        assert "fixes" in run.guided.out  # the summary is printed nevertheless
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_a_signal_stops_the_arm(rig, tmp_path, number, code):
         (signal.SIGHUP, 128 + signal.SIGHUP),
     ],
 )
-def test_a_signal_stops_an_arm_that_homes(number, code):
+def test_a_signal_stops_homing(number, code):
     with EmulatedArm(1.0, homing_s=30.0) as arm, Guided("home", arm.url) as guided:
         guided.until(arm.is_moving)
         aborts = arm.controller.aborts
@@ -49,7 +49,7 @@ def test_a_signal_stops_an_arm_that_homes(number, code):
         assert guided.end() == code
 
 
-def test_suspending_a_process_stops_an_arm_that_homes():
+def test_suspending_the_process_stops_homing():
     with EmulatedArm(1.0, homing_s=30.0) as arm, Guided("home", arm.url) as guided:
         guided.until(arm.is_moving)
         aborts = arm.controller.aborts
@@ -59,11 +59,11 @@ def test_suspending_a_process_stops_an_arm_that_homes():
         assert guided.end() == 1
 
 
-def test_suspending_the_process_stops_the_arm_first(rig, tmp_path):
+def test_suspending_the_process_stops_the_arm(rig, tmp_path):
     with Travelling(rig, tmp_path) as run:
         aborts = run.travel()
         run.guided.signal(signal.SIGTSTP)
         run.arm.assert_stopped(aborts, STOPPED_S)
         run.guided.signal(signal.SIGCONT)
-        assert run.guided.end() == 1  # without keys there is no arming again
+        assert run.guided.end() == 1  # without keys, the guard cannot be armed again
         assert "stopped: signal SIGTSTP" in run.guided.said()

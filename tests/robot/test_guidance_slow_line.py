@@ -1,7 +1,7 @@
-"""Following over a line of 9600 baud, every byte of which takes its time; and making way.
+"""Following over a simulated line of 9600 baud, and moving the arm out of the way.
 
-One reading of a moving arm takes as long there as a fix may be old. In a `SlowCell` time passes
-only where the driver waits for bytes, so nothing depends on the machine.
+At that rate, one reading of a moving arm takes as long as the maximum age of a fix. In a `SlowCell`
+time passes only while the driver waits for bytes, so nothing depends on the machine.
 """
 
 import threading
@@ -40,11 +40,11 @@ from fingerpost.robot.scorbot import ScorbotOptions
 FRAME_S = 1 / 30
 START, GOAL = (60.0, 200.0), (60.0, 350.0)
 STOPPED_S = 0.05
-"""From the guard's decision to a standing arm: the line is free for ABORT at once."""
+"""Limit from the guard's decision to the standstill; the line accepts ABORT at once."""
 
 
 class SlowCell:
-    """A Scorbot at 9600 baud, its guard and its watch, and a hand that is seen in every frame."""
+    """A Scorbot at 9600 baud, its guard and watch, and a hand that is visible in every frame."""
 
     def __init__(self, **options):
         self.now_s = 0.0
@@ -110,7 +110,7 @@ def states(reports):
     return {report.state for report in reports}
 
 
-def test_the_defaults_follow_over_9600_baud_without_a_hold():
+def test_the_defaults_follow_at_9600_baud_without_a_hold():
     with SlowCell().ready() as cell:
         follower = Follower(cell.guard)
         cell.follow(follower, 4.0)
@@ -119,7 +119,7 @@ def test_the_defaults_follow_over_9600_baud_without_a_hold():
         assert reports[-1].state is FollowState.THERE
         assert FollowState.HOLDING not in states(reports)
         np.testing.assert_allclose(cell.point, GOAL, atol=3.5)
-        # The dialogue is as slow as a real one: a moving arm takes three exchanges to read.
+        # The dialogue is as slow as a real one: reading a moving arm takes three exchanges.
         cell.target = START
         begin_s = cell.now_s
         cell.follow(follower, 1e-3)
@@ -127,14 +127,14 @@ def test_the_defaults_follow_over_9600_baud_without_a_hold():
         assert cell.now_s - begin_s > 0.5
 
 
-def test_a_fix_that_gets_stale_while_the_arm_is_read_is_a_hold_that_says_why():
+def test_a_fix_that_expires_during_a_reading_is_a_hold_with_its_reason():
     with SlowCell(max_fix_age_s=0.2).ready() as cell:
         follower = Follower(cell.guard)
         cell.follow(follower, 4.0)
         cell.target = GOAL
         cell.follow(follower, 0.5)
         assert cell.moving
-        cell.looking = False  # from here on, only the fixes the follower is given
+        cell.looking = False  # from now on, fixes reach the follower only
         reports = cell.follow(follower, 2.0)
         held = [report for report in reports if report.state is FollowState.HOLDING]
         assert held
@@ -145,7 +145,7 @@ def test_a_fix_that_gets_stale_while_the_arm_is_read_is_a_hold_that_says_why():
 
 
 @pytest.mark.parametrize("gone", ["lost", "no more frames"])
-def test_what_is_lost_during_an_exchange_stops_the_arm_in_time(gone):
+def test_a_loss_during_an_exchange_stops_the_arm_in_time(gone):
     with SlowCell().ready() as cell:
         follower = Follower(cell.guard)
         cell.follow(follower, 4.0)
@@ -170,7 +170,7 @@ def test_what_is_lost_during_an_exchange_stops_the_arm_in_time(gone):
         assert (report.state, report.reason) == (FollowState.HOLDING, "fix is lost")
 
 
-def test_the_arm_makes_way_up_first_then_towards_its_base():
+def test_the_arm_moves_out_of_the_way_upwards_then_towards_its_base():
     with SlowCell().ready() as cell:
         cell.follow(Follower(cell.guard), 4.0)
         moves = len(cell.controller.moves)
@@ -183,14 +183,14 @@ def test_the_arm_makes_way_up_first_then_towards_its_base():
         np.testing.assert_allclose(away[:2], [0.361, 0.0], atol=2e-4)
 
 
-# In a session, where threads do this side by side.
+# In a session with threads.
 
 
 FINGER = FingerLine([20.0, 20.0], 0.0, np.diag([1e-2, 1e-4]), [50.0, 20.0], 0.0)
 
 
 def step(fix):
-    """A step of views, of which one shows a finger if there is a point."""
+    """Return a step with one view, which shows a finger if the fix is good."""
     finger = FINGER if fix.status is Status.OK else fix.status
     return SimpleNamespace(fix=fix, observations=(SimpleNamespace(finger=finger),), hand=HAND)
 
@@ -200,7 +200,7 @@ HAND = Hand(number=1, is_presented=True)
 
 @contextmanager
 def hidden_hand(*, dwell_s=None, attendance=Attendance.HAND, **fields):
-    """A session in which the arm, standing low, hides the hand; and what the session says."""
+    """Start a session in which the lowered arm hides the hand; also yield its messages."""
     with scorbot_guard() as (rig, guard):
         selector = None if dwell_s is None else DwellSelector(guard, dwell_s=dwell_s)
         fix = fix_at([100, 60], rig.clock())
@@ -223,7 +223,7 @@ def hidden_hand(*, dwell_s=None, attendance=Attendance.HAND, **fields):
 
 
 def takes(rig, session, until, *, press="", within_s=5.0):
-    """Frames without a hand, and keys that repeat, until something is true."""
+    """Feed frames without a hand, and repeated keys, until a condition holds."""
     end_s = time.monotonic() + within_s
     while not until():
         assert time.monotonic() < end_s
@@ -237,7 +237,7 @@ def above_m(rig, guard):
     return guard.plane.above_m(rig.true_pose())
 
 
-def test_nothing_makes_way_by_itself_but_the_operator_is_told_how():
+def test_the_arm_does_not_make_way_by_itself_but_the_operator_is_advised():
     with hidden_hand() as (rig, guard, session, said):
         session.take(step(fix_at([100, 60], rig.clock())))
         moves = len(rig.controller.moves)
@@ -246,7 +246,7 @@ def test_nothing_makes_way_by_itself_but_the_operator_is_told_how():
         takes(rig, session, lambda: time.monotonic() > end_s)
         assert sum("hold w" in line for line in said) == 1
         assert above_m(rig, guard) == pytest.approx(0.05, abs=0.004)
-        assert len(rig.controller.moves) - moves <= 1  # what the fix at the beginning asked for
+        assert len(rig.controller.moves) - moves <= 1  # of the first fix
 
 
 @pytest.mark.parametrize("attendance", list(Attendance))
@@ -258,12 +258,12 @@ def test_the_arm_makes_way_while_the_key_is_held(attendance):
         assert above_m(rig, guard) == pytest.approx(0.199, abs=0.001)
         end_s = time.monotonic() + 0.2
         takes(rig, session, lambda: time.monotonic() > end_s, press="w")
-        assert len(rig.controller.moves) - moves == 2  # a key held on does not move it again
+        assert len(rig.controller.moves) - moves == 2  # a key still held does not move it again
 
 
-def test_letting_the_key_go_stops_it():
+def test_releasing_the_key_stops_the_arm():
     with hidden_hand() as (rig, guard, session, said):
-        timeout_s = 10.0  # of some 30 s that the way takes at this speed
+        timeout_s = 10.0  # of about 30 s for the path at this speed
         guard.options = GuardOptions(operator_timeout_s=timeout_s, max_speed_m_s=0.01)
         takes(rig, session, rig.is_moving, press="w")
         session.press("w")
@@ -275,7 +275,7 @@ def test_letting_the_key_go_stops_it():
         takes(rig, session, lambda: "stopped: the operator is gone" in " ".join(said))
 
 
-def test_the_stop_key_stops_it_at_once():
+def test_the_stop_key_stops_the_arm_at_once():
     with hidden_hand() as (rig, guard, session, _):
         takes(rig, session, rig.is_moving, press="w")
         stopper = threading.Thread(target=lambda: session.press("x"))
@@ -292,7 +292,7 @@ def test_the_stop_key_stops_it_at_once():
         (lambda guard, _session: guard.hold("fix is lost"), "fix is lost"),
     ],
 )
-def test_a_stop_that_fails_is_not_told_as_one_that_stopped_the_arm(stop, why):
+def test_a_failed_stop_is_reported_as_failed(stop, why):
     def stop_unplugged():
         with hidden_hand() as (rig, guard, session, said):
             rig.emulator.inject(Fault.UNPLUG)
@@ -302,11 +302,11 @@ def test_a_stop_that_fails_is_not_told_as_one_that_stopped_the_arm(stop, why):
             (line,) = [line for line in said if line.startswith("stopped: ")]
             assert f"stopped: {why}; the stop failed, so the arm may still move" in line
 
-    with pytest.raises(ConnectionLostError):  # nor does the session end well
+    with pytest.raises(ConnectionLostError):  # the session ends with an error, too
         stop_unplugged()
 
 
-def test_a_stop_that_turns_out_to_have_failed_is_told_as_well():
+def test_a_later_failure_of_a_stop_is_reported_as_well():
     def pull_the_plug_on_a_stop():
         with hidden_hand() as (rig, guard, session, said):
             stop, seen, failed = rig.robot.stop, threading.Event(), False
@@ -332,7 +332,7 @@ def test_a_stop_that_turns_out_to_have_failed_is_told_as_well():
         pull_the_plug_on_a_stop()
 
 
-def test_a_fault_after_the_last_frame_is_raised_all_the_same():
+def test_a_fault_after_the_last_frame_is_raised():
     def end_with_a_fault():
         with hidden_hand() as (rig, _, session, _said):
             rig.emulator.inject(Fault.IMPACT)
@@ -347,7 +347,7 @@ def test_a_fault_after_the_last_frame_is_raised_all_the_same():
 
 
 def test_a_session_selects_when_the_arm_stands_where_the_hand_points():
-    dwell_s = 10.0  # 0.2 s of ours
+    dwell_s = 10.0  # 0.2 s of real time
     with hidden_hand(dwell_s=dwell_s, carry=PickPlaceOptions()) as (rig, guard, session, said):
         place = np.array([60.0, 350.0])
         end_s = time.monotonic() + 10.0

@@ -1,7 +1,7 @@
-"""The arm guided from the operator's page: seen at the emulated controller's end.
+"""An arm guided from the operator's page, as measured at the emulated controller.
 
-The command runs as a process of its own; the page is a real WebSocket client here, which is killed,
-falls silent, lets go, or never had the control.
+The command runs in a subprocess. The page is a WebSocket client that is killed, falls silent,
+releases the key, or never had the control.
 """
 
 import contextlib
@@ -26,19 +26,19 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium, Debian
 
 BEAT_S = 0.05
 STOPPED_S = 0.5
-"""After a page has gone, the arm stands within this."""
+"""Limit from the loss of the page to the standstill."""
 LATE_BEATS = ("not armed: the page is silent", "the operator is gone")
-"""Why an arm stands that was held, where a crowded machine has let beats come late."""
+"""Reasons of a stop due to late beats on a loaded machine."""
 
 KNOWN_S = 2.0
-"""Why an arm stands is on every page within this."""
+"""Limit from a stop to its reason's appearance on every page."""
 
 TRIES = 3
-"""A crowded machine may let a test wait longer than the arm: the best of so many counts."""
+"""Attempts, of which the best counts: on a loaded machine a test may wait longer than the arm."""
 
 
 class RawPage:
-    """A page without a browser: commands go out, and a thread hears what comes back."""
+    """A page without a browser; a thread receives the server's messages."""
 
     def __init__(self, server):
         self.socket = connect(
@@ -51,7 +51,7 @@ class RawPage:
         ).__enter__()
         self.state, self.refused = {}, []
         self._beating = threading.Event()
-        self._order = threading.Lock()  # no beat after what ends them
+        self._order = threading.Lock()  # no beat after the release that ends them
         self._closing = threading.Event()
         self._threads = [
             threading.Thread(target=each, daemon=True) for each in (self._listen, self._beat)
@@ -95,7 +95,7 @@ class RawPage:
             self.send(do="release")
 
     def die(self):
-        """As a process that is killed: its connection is reset, without a word."""
+        """End like a killed process: the connection closes without a message."""
         self._closing.set()
         self.socket.socket.shutdown(socket.SHUT_RDWR)
         self.join()
@@ -116,7 +116,7 @@ class RawPage:
 
 @pytest.fixture(scope="module")
 def guided(hand_film, tmp_path_factory):
-    """The page's server, with an arm that is not homed yet, and a hand that stays in one place."""
+    """Serve the page, with an arm that is not homed and a hand at rest."""
     folder = tmp_path_factory.mktemp("live")
     still = [*range(HOLD_FRAMES), *([HOLD_FRAMES - 1] * 3000)]
     rig = write_rig(folder, hand_film, cut_film(folder / "film", hand_film, still))
@@ -127,7 +127,7 @@ def guided(hand_film, tmp_path_factory):
 
 
 def set_moving(arm, watcher, begin):
-    """Begin a motion; again where late beats have ended it, for no other reason."""
+    """Start a motion; retry if late beats, and nothing else, have ended it."""
     known_s = math.inf
 
     def moves_or_is_late():
@@ -144,7 +144,7 @@ def set_moving(arm, watcher, begin):
 
 
 def assert_stops(arm, watcher, begin, stop, why):
-    """What stops the arm does so soon, for good, and is given as the reason."""
+    """Assert that `stop` stops the arm soon and permanently, with the reason `why`."""
     for k in range(TRIES):
         set_moving(arm, watcher, begin)
         stop()
@@ -159,7 +159,7 @@ def assert_stops(arm, watcher, begin, stop, why):
         given = watcher.arm["why"]
         if took_s < STOPPED_S and given == why:
             return
-        # A crowded machine lets beats come late as well, which stops the arm before.
+        # On a loaded machine, late beats may have stopped the arm before.
         assert k < TRIES - 1, (took_s, given)
 
 
@@ -170,7 +170,7 @@ def test_the_page_is_the_dead_man_and_watchers_may_only_stop(guided):
     assert not page.arm["homed"]
     assert page.arm["why"] == "not armed"
 
-    # Held but not armed, or armed by nobody who has the control: nothing moves.
+    # Without arming, or armed without the control, nothing moves.
     page.send(do="take")
     page.hold()
     watcher.ask("arm", "home")
@@ -183,7 +183,7 @@ def test_the_page_is_the_dead_man_and_watchers_may_only_stop(guided):
     assert arm.controller.moves == []
     assert not arm.controller.homed
 
-    # Homing ends when it is let go, and is done when it is held to its end.
+    # Homing stops when the key is released, and completes when it is held.
     page.ask("arm", "home")
     aborts = arm.controller.aborts
     page.hold()
@@ -195,7 +195,7 @@ def test_the_page_is_the_dead_man_and_watchers_may_only_stop(guided):
     wait_until(lambda: page.arm["homed"], "the end of homing")
     page.let_go()
 
-    # A hand that lets go; a page that falls silent; one that is killed; STOP from a watcher.
+    # A released key, a silent page, a killed page, STOP from a watcher.
     def go():
         page.ask("arm", "follow")
         page.hold()
@@ -203,7 +203,7 @@ def test_the_page_is_the_dead_man_and_watchers_may_only_stop(guided):
     assert_stops(arm, watcher, go, page.let_go, "not held")
     assert_stops(arm, watcher, go, page.fall_silent, "not armed: the page is silent")
     moves = len(arm.controller.moves)
-    page.hold()  # armed anew it must be, after that
+    page.hold()  # only arming again makes it move
     time.sleep(0.3)
     assert len(arm.controller.moves) == moves
 
@@ -226,14 +226,14 @@ def test_the_page_is_the_dead_man_and_watchers_may_only_stop(guided):
 @pytest.fixture(scope="module")
 def browser():
     with playwright.sync_playwright() as driver:
-        # A container's root may not use Chromium's sandbox.
+        # Root in a container cannot use Chromium's sandbox.
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         yield browser
         browser.close()
 
 
 def until(page, condition):
-    """Wait for what an expression gives; the page's own policy lets no string be evaluated."""
+    """Wait until an expression is true; the page's policy forbids the evaluation of strings."""
     wait_until(lambda: page.evaluate(f"() => Boolean({condition})"), condition)
 
 
@@ -265,7 +265,7 @@ def test_an_operator_holds_a_key_or_the_button_and_the_arm_moves_meanwhile(guide
         until(page, arms)
 
     def hold_key():
-        page.keyboard.up("m")  # where a crowded machine has let beats come late
+        page.keyboard.up("m")  # still down if late beats have ended the last motion
         arm_it()
         page.keyboard.down("m")
 
@@ -295,7 +295,7 @@ def test_an_operator_holds_a_key_or_the_button_and_the_arm_moves_meanwhile(guide
     assert_stops(arm, watcher, hold_button, escape, "not armed: STOP was pressed")
     until(page, "document.querySelector('#robot .doing').textContent.includes('STOP')")
 
-    # A page is closed while its button is held down.
+    # Closing a page whose button is held down.
     def hold_button_of_a_new_page():
         nonlocal page
         page.close()

@@ -1,4 +1,4 @@
-"""The words of ACL: positions by label, errors by number, whatever the spacing and case."""
+"""Parsing of ACL: positions by label, errors by number, at any spacing and case."""
 
 import re
 
@@ -20,7 +20,7 @@ from fingerpost.robot.errors import (
 GUIDE = "1:0 2: 1791 3: 2746 4:0 5:-1\r\nX: 5197 Y:0 Z: 9963 P: 623 R:-3\r\n"
 
 
-def test_the_guides_own_listing_is_read():
+def test_the_listing_of_the_reference_guide_is_read():
     position = parse_position(GUIDE)
     assert position.counts == (0, 1791, 2746, 0, -1)
     assert position.coordinates == (5197, 0, 9963, 623, -3)
@@ -50,13 +50,13 @@ def test_listings_are_read_by_label_at_any_spacing_and_case(counts, coordinates,
     place=st.integers(0, len(GUIDE)),
     noise=st.binary(min_size=1, max_size=3).map(lambda data: data.decode("latin-1")),
 )
-def test_noise_in_a_listing_is_refused_unless_it_looks_like_part_of_a_number(place, noise):
+def test_noise_in_a_listing_is_refused_unless_it_could_be_part_of_a_number(place, noise):
     text = GUIDE[:place] + noise + GUIDE[place:]
     try:
         position = parse_position(text)
     except GarbledReplyError:
         return
-    # What passes differs by digits, signs, spaces or whole lines around; never by stray letters.
+    # Noise passes as digits, signs or spaces, or as a line of its own, never as letters inside.
     kept = re.sub(r"[\s\d+-]", "", noise)
     assert kept == "" or place in (0, len(GUIDE)) or position == parse_position(GUIDE)
 
@@ -75,7 +75,7 @@ def test_noise_in_a_listing_is_refused_unless_it_looks_like_part_of_a_number(pla
         GUIDE.replace("5197", "519700000"),
     ],
 )
-def test_half_a_listing_is_no_listing(text):
+def test_malformed_listings_are_refused(text):
     with pytest.raises(GarbledReplyError):
         parse_position(text)
 
@@ -93,19 +93,19 @@ def test_half_a_listing_is_no_listing(text):
         (">*** 304 AXIS DISABLED", 304, None),
     ],
 )
-def test_errors_are_known_by_number_or_by_text(line, number, axis):
+def test_errors_are_identified_by_number_or_by_text(line, number, axis):
     (error,) = find_errors(f"FP01\r\n{line}\r\n>")
     assert (error.number, error.axis) == (number, axis)
 
 
-def test_an_error_line_counts_only_when_it_is_whole():
+def test_only_complete_error_lines_count():
     assert find_errors("*** 53 IMP") == []
     assert find_errors("Done.\r\n>") == []
     assert [error.number for error in find_errors("*** 303 X\r\n>\r\n*** 53 Y\r\n")] == [303, 53]
 
 
 @pytest.mark.parametrize("number", FAULTS)
-def test_errors_blame_the_goal_the_arm_or_the_command(number):
+def test_errors_concern_the_goal_the_arm_or_the_command(number):
     kinds = {**dict.fromkeys((54, 312, 317), OutOfReachError), 303: CommandRefusedError}
     error = AclError(number, None, "").exception()
     assert type(error) is kinds.get(number, RobotFaultError)
@@ -151,7 +151,7 @@ def test_golden_dialogue_with_the_controller():
         (10.0, b"SETPVC P1 X 4500\r", b"SETPVC P1 X 4500\r\nDone.\r\n>"),
         (10.0, b"SETPVC P1 P 0\r", b"SETPVC P1 P 0\r\nDone.\r\n>"),
         (10.0, b"SETPVC P1 Z 5000\r", b"SETPVC P1 Z 5000\r\nDone.\r\n>"),
-        (  # P and R have not survived
+        (  # setting X and Z has changed P and R
             10.0,
             b"LISTPV P1\r",
             b"LISTPV P1\r\n1:0 2: 5402 3:-14959 4: 457 5:-28\r\nX: 4500 Y:0 Z: 5000 P: 4 R:-7\r\n>",
@@ -190,7 +190,7 @@ def test_golden_dialogue_with_the_controller():
     assert controller.jaw_percent == 100
 
 
-def test_a_long_listing_stops_at_the_foot_of_a_page():
+def test_a_long_listing_pauses_at_the_end_of_a_page():
     controller = AclController(AclStyle(page_lines=2))
     for name in (b"A1", b"B2", b"C3"):
         converse(controller, b"DEFP " + name + b"\r")
@@ -198,7 +198,7 @@ def test_a_long_listing_stops_at_the_foot_of_a_page():
     assert converse(controller, b"\r") == b"\r\nC3\r\n>"
 
 
-def test_homing_that_fails_names_the_axis():
+def test_failed_homing_names_the_axis():
     controller = AclController(AclStyle(homing_s=10.0))
     controller.inject(Fault.HOME_FAILURE, 0.0)
     converse(controller, b"HOME\r")
@@ -233,7 +233,7 @@ def test_a_linear_move_keeps_to_the_line_and_to_its_speed():
     np.testing.assert_allclose(places[-1], goal, atol=1e-6)
 
 
-def test_where_the_arm_cannot_go_is_out_of_range():
+def test_unreachable_goals_are_out_of_range():
     controller = homed_controller()
     converse(controller, b"DEFP P1\rHERE P1\rSETPVC P1 X 12000\r", 10.0)
     assert converse(controller, b"MOVEL P1\r", 10.0) == b"MOVEL P1\r\n*** 54 OUT OF RANGE\r\n>"
@@ -266,7 +266,7 @@ def test_abort_bytes_act_in_the_middle_of_a_line_and_never_complete_it():
 
 
 @given(st.floats(3600, 5000), st.floats(-2500, 2500), st.floats(300, 2000), st.floats(-1700, 1700))
-def test_the_emulated_arms_kinematics_are_their_own_inverse(x, y, z, roll):
+def test_forward_and_inverse_kinematics_agree(x, y, z, roll):
     units = np.array([x, y, z, -900.0, roll])
     joints = inverse(units)
     if joints is not None:

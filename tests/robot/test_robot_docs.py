@@ -1,7 +1,7 @@
-"""Every command, file and link of `docs/robots` is what it says.
+"""Commands, files and links of `docs/robots`.
 
-The pages of the arms that can be emulated are gone through from cable to pick and place, command by
-command as they stand there, only with the emulated port in place of the device.
+The pages of arms that can be emulated are run from cable to pick and place, command by command,
+with the emulated port in place of the device.
 """
 
 import math
@@ -45,7 +45,7 @@ TEXTS = {page.stem: page.read_text(encoding="utf-8") for page in PAGES}
 
 
 def shell_commands(page):
-    """The command lines of a page, in their order."""
+    """Return the command lines of a page in order."""
     text = TEXTS[page].replace("\\\n", " ")
     lines = re.findall(r"^    (fingerpost .*)$", text, re.MULTILINE)
     return [shlex.split(line)[1:] for line in lines]
@@ -60,7 +60,7 @@ EVERY_COMMAND = [(page, line) for page in TEXTS for line in shell_commands(page)
 
 
 @pytest.mark.parametrize(("page", "line"), EVERY_COMMAND)
-def test_every_command_line_can_be_read(page, line):
+def test_every_command_line_can_be_parsed(page, line):
     command: click.Command = main
     names = []
     while isinstance(command, click.Group):
@@ -78,7 +78,7 @@ def test_every_page_leads_from_cable_to_pick_and_place():
 
 
 @pytest.mark.parametrize("page", TEXTS)
-def test_every_link_leads_somewhere(page):
+def test_every_link_has_a_target(page):
     for target in re.findall(r"\]\(([^)#]+)", TEXTS[page]):
         assert (PAGES[0].parent / target).exists(), target
     if page != "index":
@@ -133,10 +133,10 @@ def test_the_emulator_of_the_page_is_an_arm(tmp_path):
 FIRST_MM, SECOND_MM = (120.0, 220.0), (160.0, 300.0)
 
 SHOWN_FPS = 15
-"""What the cameras show of it, which is half the work of 30."""
+"""Frame rate of the cameras, half of 30 to save time."""
 
 PATIENT = ("--operator-timeout", "5", "--max-age", "1")
-"""A busy machine that shows no picture for a second is not what these pages are about."""
+"""Generous limits: a loaded machine may show no picture for a second."""
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +147,7 @@ def film(tmp_path_factory):
 
 
 class Stage:
-    """What the cameras see: the marker on the gripper, or the hand, which waits to be told."""
+    """The cameras' pictures: the marker on the gripper, or the hand, whose frame the test sets."""
 
     def __init__(self, position_m, film):
         self.position_m = position_m
@@ -165,7 +165,7 @@ class Stage:
 
 
 def go_through(page, device, port, stage, folder, options=(), *, changes=None, without=None):
-    """Run every command of a page that names the device; returns what each has said."""
+    """Run every command of a page that names the device; return the output of each."""
     said = []
     with JpegStreams([stage.film_of(view) for view in range(2)], SHOWN_FPS) as streams:
         cameras = snippet("index", "toml")
@@ -200,7 +200,7 @@ def go_through(page, device, port, stage, folder, options=(), *, changes=None, w
 
 
 def _point_about(guided, stage, folder, *, pick=False):
-    """Let the hand come and point at the first place, then at the second, then leave."""
+    """Show the hand as it enters and points at the first place, then at the second."""
     log = folder / "commands.csv"
     guided.until_said("acquiring")
     for frame in range(EMPTY_FRAMES + 1):
@@ -228,7 +228,7 @@ def test_the_scorbots_page(film, tmp_path):
         assert "1 picked and placed" in said[5][1]
 
 
-# A DexArm looks along its Y, and its region begins further from its base.
+# A DexArm points along its Y, and its region begins further from its base.
 SCENES = {
     "uarm": (np.array([-82.0, 221.0, 0.0]), guidance_scene.TURN_RAD),
     "marlin": (np.array([-82.0, 221.0, 0.0]), guidance_scene.TURN_RAD),
@@ -246,11 +246,11 @@ WORDS = {
     "dexarm": rf"N\d+ (?:M110 N0|M11[45]|G21|G90|M1112|M400|G1 {MOVE}|M100[01])\*\d+|M410|",
     "marlin": rf"N\d+ (?:M110 N0|M11[45]|G21|G90|G28|M400|G01 {MOVE}|M280 P0 S9?0)\*\d+|M410|",
 }
-"""All that goes over the line, line by line."""
+"""Patterns of all lines that are sent."""
 
 
 def gcode_arms():
-    """The arms of the page's table: address and region."""
+    """Return address and region of the arms in the page's table."""
     rows = re.findall(r"^\| [^|]+ \| `((\w+)://[^`]+)` \| (.+) \|$", TEXTS["uarm-and-marlin"], re.M)
     return {scheme: (address, region.strip("`")) for address, scheme, region in rows}
 
@@ -268,11 +268,11 @@ def test_the_page_of_the_gcode_arms(name, film, tmp_path, monkeypatch):
         address, region = arms[name]
         _, _, query = address.partition("?")
         url = f"{name}://{emulator.address}" + ("?" if query else "") + query
-        if name == "marlin":  # a hand that is lost for a moment would cost it its home
+        if name == "marlin":  # otherwise a moment without the hand would require homing
             url += "&" + re.search(r"`(keeps_steps=true)`", TEXTS["uarm-and-marlin"])[1]
         usual = arms["uarm"][1]
         changes = {usual: region} if region[0].isdecimal() or region[0] == "-" else {}
-        without = None if name == "uarm" else "follow"  # the same command, and no other words
+        without = None if name == "uarm" else "follow"  # the same command for all
         said = go_through(
             *("uarm-and-marlin", "uarm:///dev/ttyACM0", url, stage, tmp_path),
             changes=changes,
@@ -294,7 +294,7 @@ def test_the_so101s_page(film, tmp_path, monkeypatch):
     with so101_rig.so101_rig(tmp_path, home=False, time_scale=1.0) as rig:
         stage = Stage(rig.true_m, film)
         device = "so101:///dev/ttyACM0?calibration=arm.json"
-        # The servos share this process with the cameras, which take its interpreter for a while.
+        # The servos share this process's interpreter with the cameras.
         port = f"so101://{rig.emulator.address}?calibration=arm.json&reply_s=1"
         said = go_through("so101", device, port, stage, tmp_path, without="follow")
         assert [kind for kind, _ in said] == ["home", "plane", "pick"]
@@ -318,7 +318,7 @@ def test_the_page_of_ros(film, tmp_path):
 
 @pytest.fixture
 def stand_ins(monkeypatch):
-    """The vendors' libraries of processes that are started from now on are stand-ins."""
+    """Replace the vendors' libraries by stand-ins in processes that are started from now on."""
     folder = str(Path(__file__).parent / "stand_ins")
     paths = [folder, *filter(None, [os.environ.get("PYTHONPATH")])]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
@@ -338,7 +338,7 @@ def test_the_urs_page(film, tmp_path, monkeypatch, stand_ins):
         assert "1 picked and placed" in said[2][1]
         assert set(controller.outputs) == {0}
         end_s = time.monotonic() + 5.0
-        while controller.program is not Program.STOPPED:  # none is left that nobody feeds
+        while controller.program is not Program.STOPPED:  # until the watchdog has ended the program
             assert time.monotonic() < end_s
             controller.look()
 
@@ -353,7 +353,7 @@ def test_the_xarms_page(film, tmp_path, monkeypatch, stand_ins):
             without="follow",
         )
         assert [kind for kind, _ in said] == ["home", "plane", "pick"]
-        assert said[0][1].startswith("x 0.3000 m")  # and nothing of the library
+        assert said[0][1].startswith("x 0.3000 m")  # and no output of the library
         assert "9 of 9 places" in said[1][1]
         assert "1 picked and placed" in said[2][1]
         assert box.gripper.position() == 850

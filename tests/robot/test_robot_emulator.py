@@ -1,4 +1,4 @@
-"""Serving emulated controllers: ports, faults by name, and the command that does it."""
+"""Serving of emulated controllers: ports, faults by name, and the command."""
 
 import signal
 import socket
@@ -71,7 +71,7 @@ def test_a_controller_without_echo():
         assert ask(emulator.address, b"SPEED 20\r") == b"Done.\r\n>"
 
 
-def test_faults_come_by_name():
+def test_faults_are_injected_by_name():
     said = []
     stop = threading.Event()
     emulator = make_emulator("acl")
@@ -91,7 +91,7 @@ def test_faults_come_by_name():
     assert said[3] == "silent"
 
 
-def test_faults_come_at_random():
+def test_faults_are_injected_at_random():
     said = []
     stop = threading.Event()
 
@@ -122,7 +122,7 @@ def test_values_out_of_range_are_refused(options):
         make_emulator("acl", **options)
 
 
-def test_a_port_that_cannot_be_made_is_refused(tmp_path):
+def test_an_unusable_port_is_refused(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("precious")
     for link in (tmp_path / "no" / "such", tmp_path / "folder", tmp_path / "file"):
@@ -151,7 +151,7 @@ def test_a_port_that_cannot_be_made_is_refused(tmp_path):
         (["emulate", "acl", "--faults-per-s", "inf"], "faults_per_s"),
     ],
 )
-def test_what_the_commands_cannot_use_is_told_in_one_line(arguments, words):
+def test_unusable_arguments_are_refused_in_one_line(arguments, words):
     ended = CliRunner().invoke(main, ["robot", *arguments])
     assert ended.exit_code == 2
     (line,) = ended.output.splitlines()
@@ -177,11 +177,11 @@ def test_the_command_prints_the_port_and_serves_until_it_is_interrupted():
     ("redirection", "said"),
     [
         ("<&-", []),
-        # What sleeps must not keep the emulator's own standard error open.
+        # The sleeping process must not keep the emulator's standard error open.
         (r"< <(printf '\xff\nimpact\n'; exec sleep 60 2>&-)", ["\ufffd", "impact"]),
     ],
 )
-def test_it_serves_with_standard_input_closed_or_full_of_noise(tmp_path, redirection, said):
+def test_it_serves_with_closed_or_garbled_standard_input(tmp_path, redirection, said):
     command = f"exec {sys.executable} -m fingerpost robot emulate acl {redirection}"
     with subprocess.Popen(
         ["bash", "-c", command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -224,7 +224,7 @@ def test_without_a_thread_it_answers_when_it_is_served():
 
 
 class StuckArm:
-    """An arm that lags behind its commands by a share of the way, as if something held it."""
+    """An arm whose joints the test sets, so that they can lag behind the commands."""
 
     def __init__(self):
         self.joints = PARKED_JOINTS_RAD.copy()
@@ -233,7 +233,7 @@ class StuckArm:
         return self.joints
 
 
-def test_the_controller_tells_where_the_encoders_say_the_arm_is():
+def test_the_controller_reports_the_encoders_position():
     arm = StuckArm()
     controller = AclController(AclStyle(homing_s=1.0), encoders=arm)
     controller.receive(b"HOME\r", 0.0)
@@ -245,14 +245,14 @@ def test_the_controller_tells_where_the_encoders_say_the_arm_is():
     assert controller.units(1.2)[1] > 400.0
 
 
-def test_a_joint_that_does_not_follow_has_hit_something():
+def test_a_joint_that_does_not_follow_is_an_impact():
     arm = StuckArm()
     controller = AclController(AclStyle(homing_s=1.0), encoders=arm)
     controller.receive(b"HOME\r", 0.0)
     arm.joints = controller.commanded_rad(1.1) + np.array([0, 0, 1.1 * IMPACT_RAD, 0, 0])
     assert b"*** 53 IMPACT PROTECTION AXIS 3" in controller.poll(1.1)
     assert not controller.servos
-    # The motors go on from where the arm is, not from where it should have been.
+    # The motors continue from the arm's actual position, not from the commanded one.
     assert controller.commanded_rad(2.0) == pytest.approx(arm.joints)
     controller.receive(b"CON\r", 2.0)
     assert b"***" not in controller.poll(2.0)

@@ -38,7 +38,7 @@ def test_it_is_a_robot(name):
     assert isinstance(GcodeArm("/dev/null", ARMS[name][0]), Robot)
 
 
-def test_it_goes_where_it_is_sent_and_says_where_it_is(name):
+def test_it_reaches_its_goal_and_reports_its_position(name):
     with gcode_rig(name) as rig:
         assert rig.controller.homed
         for goal in (GOAL, FAR, GOAL):
@@ -47,7 +47,7 @@ def test_it_goes_where_it_is_sent_and_says_where_it_is(name):
             assert rig.robot.pose().distance_m(goal) < 1e-5
 
 
-def test_a_command_that_the_controller_does_not_know_is_none_that_it_has_done(monkeypatch):
+def test_a_command_unknown_to_the_controller_is_an_error(monkeypatch):
     monkeypatch.setitem(ARMS, "another", (DEXARM, lambda: MarlinController(homing_s=1.0)))
     with gcode_rig("another", home=False) as rig:
         with pytest.raises(CommandRefusedError, match=r"M1112: .* no such command: .*Unknown"):
@@ -56,7 +56,7 @@ def test_a_command_that_the_controller_does_not_know_is_none_that_it_has_done(mo
         assert not rig.is_moving()
 
 
-def test_an_arm_is_never_sent_a_feed_rate_of_nothing(name):
+def test_a_feed_rate_of_zero_is_refused(name):
     with gcode_rig(name) as rig:
         moves = rig.controller.moves
         with pytest.raises(InvalidInputError, match="least speed"):
@@ -73,7 +73,7 @@ def test_moves_can_be_queued(name):
         rig.assert_at(GOAL)
 
 
-def test_a_pose_is_never_the_goal_of_a_move_that_still_runs(name):
+def test_the_pose_during_a_move_is_the_actual_one_not_the_goal(name):
     with gcode_rig(name) as rig:
         rig.robot.move_to(GOAL)
         rig.robot.move_to(FAR, speed_m_s=0.05, wait=False)
@@ -85,7 +85,7 @@ def test_a_pose_is_never_the_goal_of_a_move_that_still_runs(name):
 
 
 @best_of_three
-def test_a_stop_passes_every_queue(name):
+def test_a_stop_overtakes_every_queue(name):
     with gcode_rig(name) as rig:
         errors = []
 
@@ -132,14 +132,14 @@ def test_the_gripper(name):
             rig.robot.gripper(0.01)
 
 
-def test_a_goal_that_the_arm_refuses(name):
+def test_a_goal_out_of_reach_is_refused(name):
     with gcode_rig(name) as rig:
         with pytest.raises(OutOfReachError):
             rig.robot.move_to(Pose(0.31, 0.31, 0.05))
         rig.robot.move_to(GOAL)
 
 
-def test_an_arm_that_does_not_go_is_found_out():
+def test_an_arm_that_does_not_move_is_detected():
     with gcode_rig("uarm") as rig:
         rig.emulator.inject(Fault.STICK)
         with pytest.raises(NotArrivedError):
@@ -162,7 +162,7 @@ def test_a_slow_answer_is_waited_for(name):
         rig.assert_at(GOAL)
 
 
-def test_the_cable_is_pulled_and_put_back(name):
+def test_the_cable_is_unplugged_and_plugged_in_again(name):
     with gcode_rig(name) as rig:
         rig.emulator.inject(Fault.UNPLUG)
         with pytest.raises(ConnectionLostError):
@@ -182,14 +182,14 @@ def test_a_marlin_has_no_limits_of_its_own():
         assert rig.controller.moves == 0
 
 
-def test_a_dexarm_turns_no_gripper():
+def test_a_dexarm_has_no_roll_angle():
     """Its `G0` and `G1` have no `R`."""
     robot = open_robot("dexarm:///dev/null?lower_m=-0.1,0.2,0&upper_m=0.1,0.3,0.1")
     with pytest.raises(InvalidInputError, match="roll"):
         robot.limits.check(Pose(0.0, 0.25, 0.05, roll_rad=0.5))
 
 
-def test_a_uarm_has():
+def test_a_uarm_has_limits_without_roll_angle():
     robot = GcodeArm("/dev/null", UARM)
     assert robot.limits.gripper is GripperKind.OPEN_CLOSE
     with pytest.raises(InvalidInputError):
@@ -204,24 +204,24 @@ def test_a_uarm_has():
         ("max_speed_m_s=0.02", {"max_speed_m_s": 0.02}),
     ],
 )
-def test_every_limit_that_is_given_holds_over_a_uarms_own(options, changes):
+def test_given_limits_override_those_of_a_uarm(options, changes):
     limits = open_robot(f"uarm:///dev/null?{options}").limits
     assert limits == replace(UARM.limits, **changes)
 
 
 @pytest.mark.parametrize(("given", "missing"), [("lower_m", "upper_m"), ("upper_m", "lower_m")])
-def test_half_a_box_is_refused_where_there_is_no_other_half(given, missing):
+def test_a_box_needs_both_corners(given, missing):
     with pytest.raises(InvalidInputError, match=f"{missing} is missing"):
         open_robot(f"marlin:///dev/null?{given}=0.1,0.2,0.3")
 
 
-def test_a_box_alone_is_gone_through_slowly():
+def test_the_default_speed_of_a_marlin_is_slow():
     url = "marlin:///dev/null?lower_m=0,0,0&upper_m=0.1,0.1,0.1"
     assert open_robot(url).limits.max_speed_m_s == MAX_SPEED_M_S
     assert open_robot(f"{url}&max_speed_m_s=0.2").limits.max_speed_m_s == 0.2
 
 
-def test_a_goal_that_the_arm_refuses_leaves_it_where_it_knows_itself(name):
+def test_a_refused_goal_leaves_the_position_known(name):
     with gcode_rig(name) as rig:
         rig.robot.move_to(GOAL)
         rig.emulator.inject(Fault.OUT_OF_RANGE)
@@ -232,7 +232,7 @@ def test_a_goal_that_the_arm_refuses_leaves_it_where_it_knows_itself(name):
 
 
 @pytest.mark.parametrize("url", ["dobot:///dev/ttyUSB0", "dobot", "magician://COM3"])
-def test_a_dobot_magician_is_told_what_is_meant(url):
+def test_the_address_of_a_dobot_magician_is_refused_with_advice(url):
     with pytest.raises(InvalidInputError, match=r"binary protocol.*dexarm://") as refused:
         open_robot(url)
     assert "\n" not in str(refused.value)

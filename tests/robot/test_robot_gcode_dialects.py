@@ -1,4 +1,4 @@
-"""What each family of G-code arms does in its own way: bytes, ways, speeds, tools and stops."""
+"""Dialects of G-code arms: bytes, paths, speeds, tools and stops."""
 
 import itertools
 import logging
@@ -29,21 +29,21 @@ from fingerpost.robot.protocol import Pose, RobotState
 from fingerpost.robot.registry import open_robot
 
 PIECE_MM = 0.1
-"""A chain of lines of the joints is this near to the straight line of the hand [mm]."""
+"""Limit of the deviation of joint-space segments from the straight path of the hand [mm]."""
 
 
 # Kinematics.
 
 
 @pytest.mark.parametrize("arm", [UARM_SWIFT_PRO, DEXARM], ids=["uarm", "dexarm"])
-def test_joints_and_position_are_each_others_inverse(arm):
+def test_forward_and_inverse_kinematics_agree(arm):
     rng = np.random.default_rng(20_941)
     low, high = np.array([arm.base_deg, arm.upper_deg, arm.fore_deg]).T
     joints = rng.uniform(low, high, (2000, 3))
     elbow = joints[:, 1] - joints[:, 2]
     joints = joints[(elbow > arm.elbow_deg[0]) & (elbow < arm.elbow_deg[1])]
     positions = arm.position_mm(joints)
-    # Beyond the axis of its base, the arm could be turned round instead.
+    # Behind the axis of the base, a second solution has the base rotated by a half turn.
     ahead = np.hypot(positions[:, 0], positions[:, 1]) > arm.hand_out_mm
     np.testing.assert_allclose(
         arm.joints_deg(positions[ahead & (joints[:, 1] < 90)]),
@@ -55,35 +55,35 @@ def test_joints_and_position_are_each_others_inverse(arm):
 @pytest.mark.parametrize(
     ("arm", "position", "joints"),
     [
-        # The vendor's example of home, and by hand: links at a right angle, level and upright.
+        # The vendor's example of home; one computed by hand, with one link upright, one horizontal.
         (DEXARM, (0.0, 300.0, 0.0), (90.0, 52.53, -52.53)),
         (UARM_SWIFT_PRO, (158.81 + 69.85, 0.0, 142.07 + 32.85), (0.0, 90.0, 0.0)),
     ],
 )
-def test_known_postures(arm, position, joints):
+def test_known_configurations(arm, position, joints):
     np.testing.assert_allclose(arm.joints_deg(position), joints, atol=0.01)
 
 
 @pytest.mark.parametrize("position", [(0, 0, 0), (400, 0, 50), (-200, 0, 50), (80, 0, 50)])
-def test_where_a_uarm_cannot_be(position):
+def test_unreachable_positions_of_a_uarm(position):
     assert np.isnan(UARM_SWIFT_PRO.joints_deg(position)).all()
 
 
-# Ways: `G0` and `G1` in the region of our own page.
+# Paths: `G0` and `G1` in the region of the documentation page.
 
 REGION_MM = np.array([(170, -90), (280, -90), (280, 80), (170, 80)])
 AHEAD_MM = {"uarm": 0.0, "dexarm": 25.0}
-"""A DexArm does not reach as near to its base as our region is."""
+"""Offset of the region: a DexArm reaches less close to its base."""
 
 FEED = {"uarm": 20.0, "dexarm": 3000.0}
-"""About 100 mm/s, and for `G0` 30 or 50 °/s."""
+"""About 100 mm/s; for `G0`, 30 or 50 °/s."""
 
 HEIGHT_MM = 20.0
 BEGIN_S = 1000.0
-"""When an emulated arm certainly stands at the start of the way that is looked at [s]."""
+"""Time at which the emulated arm certainly stands at the start of the examined path [s]."""
 
 TURNS = {"uarm": 0.0, "dexarm": math.pi / 2}
-"""A uArm looks along X, a DexArm along Y."""
+"""A uArm points along X, a DexArm along Y."""
 
 
 def turned(xy, angle):
@@ -92,7 +92,7 @@ def turned(xy, angle):
 
 
 def way_mm(name, start, goal, word, feed, step_s=0.005):
-    """Where an emulated hand is, time and again from a start to a goal."""
+    """Sample the path of an emulated hand from a start to a goal [mm]."""
     controller = UarmController() if name == "uarm" else make_dexarm(1.0)
     controller.homed = True
     for number, (now_s, command) in enumerate(
@@ -112,8 +112,8 @@ def way_mm(name, start, goal, word, feed, step_s=0.005):
 
 
 def extremes_mm(name, word):
-    """How far the hand leaves the region between its corners, and the straight way."""
-    outside, aside = 0.0, 0.0
+    """Return the largest deviations from the region and from straight paths between its corners."""
+    outside, lateral = 0.0, 0.0
     region = REGION_MM + np.array([AHEAD_MM[name], 0.0])
     low, high = np.min(region, axis=0), np.max(region, axis=0)
     for a, b in itertools.permutations(turned(region, TURNS[name]), 2):
@@ -123,24 +123,24 @@ def extremes_mm(name, word):
         outside = max(outside, float(np.max([low - flat, flat - high])))
         along = (goal - start) / np.linalg.norm(goal - start)
         off = (way - start) - np.outer((way - start) @ along, along)
-        aside = max(aside, float(np.linalg.norm(off, axis=1).max()))
-    return outside, aside
+        lateral = max(lateral, float(np.linalg.norm(off, axis=1).max()))
+    return outside, lateral
 
 
 @pytest.mark.parametrize(
     ("name", "leaves_mm", "bows_mm"), [("uarm", 12.6, 27.9), ("dexarm", 11.6, 24.7)]
 )
 def test_g0_leaves_the_region_of_the_page_and_g1_does_not(name, leaves_mm, bows_mm):
-    outside, aside = extremes_mm(name, "G0")
+    outside, lateral = extremes_mm(name, "G0")
     assert outside == pytest.approx(leaves_mm, abs=0.1)
-    assert aside == pytest.approx(bows_mm, abs=1.0)
-    outside, aside = extremes_mm(name, "G1")
+    assert lateral == pytest.approx(bows_mm, abs=1.0)
+    outside, lateral = extremes_mm(name, "G1")
     assert outside < PIECE_MM
-    assert aside < PIECE_MM
+    assert lateral < PIECE_MM
 
 
-def test_g0_goes_down_beside_the_way_where_g1_does_not():
-    """From low in front to high at the side, say, the straight way never goes below its start."""
+def test_g0_passes_below_the_path_and_g1_does_not():
+    """A straight path between points of equal height never passes below them."""
     deepest = {}
     for word in ("G0", "G1"):
         deepest[word] = min(
@@ -177,7 +177,7 @@ def test_a_move_goes_straight(name):
 
 
 @pytest.mark.parametrize("speed_m_s", [0.1, 0.02, 0.001])
-def test_a_uarm_is_never_faster_than_it_was_told(speed_m_s):
+def test_a_uarm_never_exceeds_the_given_speed(speed_m_s):
     rng = np.random.default_rng(7)
     for _ in range(10):
         start, goal = rng.uniform((170, -90, 5), (280, 80, 120), (2, 3))
@@ -185,13 +185,13 @@ def test_a_uarm_is_never_faster_than_it_was_told(speed_m_s):
         step_s = 5e-4 / speed_m_s
         way = way_mm("uarm", start, goal, "G1", stroke.feed, step_s)
         speeds = np.linalg.norm(np.diff(way, axis=0), axis=1) / step_s / 1000
-        assert speeds.max() <= speed_m_s * 1.01  # the driver looks at the way every millimetre
+        assert speeds.max() <= speed_m_s * 1.01  # the driver samples the path every millimetre
         assert speeds.max() > 0.9 * speed_m_s
         assert step_s * len(way) == pytest.approx(stroke.duration_s, rel=0.05, abs=0.7)
 
 
-def test_a_uarm_that_cannot_go_straight_is_not_sent_off():
-    """Both ends are in reach, the place between them is too near to the base."""
+def test_a_uarm_refuses_a_goal_without_a_straight_path():
+    """Both ends are in reach, but the path between them passes too close to the base."""
     with gcode_rig("uarm") as rig:
         rig.robot.move_to(Pose(0.02, 0.13, 0.0))
         moves = rig.controller.moves
@@ -201,8 +201,8 @@ def test_a_uarm_that_cannot_go_straight_is_not_sent_off():
         assert rig.robot.status().state is RobotState.IDLE
 
 
-def test_a_long_move_of_a_uarm_is_waited_for_while_it_does_not_answer():
-    """While the firmware plans, it answers no question: here for longer than an answer may take."""
+def test_a_long_move_of_a_uarm_does_not_time_out():
+    """While the firmware plans, it answers no query, here for longer than the answer time-out."""
     with gcode_rig("uarm", max_speed_m_s=0.1) as rig:
         rig.robot.move_to(GOAL)
         rig.robot.move_to(FAR, speed_m_s=0.005)  # a minute, four time-outs
@@ -230,7 +230,7 @@ def test_each_tool_has_its_command(name, options, close, opened):
 
 
 @pytest.mark.parametrize(("tool", "command"), [("suction", "M2231"), ("gripper", "M2232")])
-def test_the_tool_of_a_uarm_holds(tool, command):
+def test_the_tool_of_a_uarm_closes_once(tool, command):
     with gcode_rig("uarm", tool=Tool(tool)) as rig:
         rig.robot.gripper("close")
         assert rig.controller.closed
@@ -247,13 +247,13 @@ def test_the_tool_of_a_uarm_holds(tool, command):
         ("uarm:///dev/null?tool=magnet", "'magnet'"),
     ],
 )
-def test_a_tool_that_is_none_is_refused(url, words):
+def test_an_invalid_tool_is_refused(url, words):
     with pytest.raises(InvalidInputError, match=words) as refused:
         open_robot(url)
     assert "\n" not in str(refused.value)
 
 
-# Firmware, and stops that work.
+# Firmware versions and effective stops.
 
 
 @pytest.mark.parametrize("firmware", ["V3.2.0", "V3.1.20"])
@@ -281,13 +281,13 @@ def test_a_uarm_that_does_not_stop_on_ctrl_x_is_refused(firmware):
         ("", "unnamed firmware", False),
     ],
 )
-def test_what_a_marlin_says_of_its_stop(answer, name, stops):
+def test_a_marlins_firmware_report_is_parsed(answer, name, stops):
     firmware = marlin_firmware(answer)
     assert (firmware.name, firmware.stops_at_once) == (name, stops)
 
 
 @pytest.mark.parametrize("emergency_parser", [True, False])
-def test_a_marlin_without_an_emergency_parser_is_warned_of(emergency_parser, caplog):
+def test_a_marlin_without_an_emergency_parser_is_logged_as_a_warning(emergency_parser, caplog):
     controller = MarlinController(homing_s=1.0, emergency_parser=emergency_parser)
     with caplog.at_level(logging.WARNING), gcode_rig("marlin", controller) as rig:
         assert rig.robot.firmware.stops_at_once is emergency_parser
@@ -295,8 +295,8 @@ def test_a_marlin_without_an_emergency_parser_is_warned_of(emergency_parser, cap
 
 
 @pytest.mark.parametrize("emergency_parser", [True, False])
-def test_a_stop_is_read_while_a_move_is_waited_for(emergency_parser):
-    """A board that reads no line while it answers `M400` is asked that only afterwards."""
+def test_a_stop_takes_effect_during_the_wait_for_a_move(emergency_parser):
+    """A board that reads no lines during `M400` is sent `M400` only after the motion."""
     controller = MarlinController(homing_s=1.0, emergency_parser=emergency_parser)
     with gcode_rig("marlin", controller) as rig:
         rig.robot.move_to(GOAL)
@@ -319,10 +319,10 @@ def test_a_stop_is_read_while_a_move_is_waited_for(emergency_parser):
         assert np.linalg.norm(rig.true_m() - FAR.position_m) > 0.05
 
 
-def test_after_m410_a_marlins_positions_are_not_believed():
+def test_after_m410_the_position_of_a_marlin_is_unknown():
     with gcode_rig("marlin") as rig:
         rig.robot.move_to(GOAL)
-        rig.robot.stop()  # nothing moves: nothing slips
+        rig.robot.stop()  # without motion, no steps are lost
         assert rig.robot.status().homed
         rig.robot.move_to(FAR, wait=False)
         wait_until(lambda: np.linalg.norm(rig.true_m() - GOAL.position_m) > 0.05)
@@ -332,7 +332,7 @@ def test_after_m410_a_marlins_positions_are_not_believed():
             rig.robot.pose()
         with pytest.raises(NotHomedError):
             rig.robot.move_to(GOAL)
-        # The board believes that it knows; it is wrong by what its motors have slipped.
+        # The board reports a position, wrong by the lost steps.
         believed = rig.controller._arm.position(rig.clock()) / 1000
         assert np.linalg.norm(believed - rig.true_m()) > 1e-6
         rig.robot.home()
@@ -341,17 +341,17 @@ def test_after_m410_a_marlins_positions_are_not_believed():
 
 
 @pytest.mark.parametrize(("dialect", "make"), [(MARLIN, MarlinController), (UARM, UarmController)])
-def test_no_byte_lost_to_noise_loses_a_stop(dialect, make):
+def test_no_single_garbled_byte_loses_a_stop(dialect, make):
     for place in range(len(dialect.stop)):
         for noise in (b"?", b"", b"\x00"):
             controller = make()
-            controller.receive(b"N7 G1 X1", 0.0)  # in the middle of a line
+            controller.receive(b"N7 G1 X1", 0.0)  # an incomplete line
             controller.receive(dialect.stop[:place] + noise + dialect.stop[place + 1 :], 0.0)
             assert controller.stops > 0
 
 
 @pytest.mark.parametrize("name", ["uarm", "dexarm", "marlin"])
-def test_arms_that_keep_in_step_know_where_they_are_after_a_stop(name):
+def test_arms_without_lost_steps_know_their_position_after_a_stop(name):
     controller = MarlinController(homing_s=1.0, slips=False) if name == "marlin" else None
     with gcode_rig(name, controller, keeps_steps=name == "marlin") as rig:
         rig.robot.move_to(GOAL)
@@ -371,7 +371,7 @@ STOP = "\nM410\n\nM410\n"
 
 
 @given(st.integers(0, 99_999), st.text("GMXYZF0123456789. -", min_size=1, max_size=40))
-def test_a_line_and_its_sum_cancel(number, command):
+def test_a_line_and_its_checksum_cancel(number, command):
     line = checksummed(number, command)
     body, total = line.rsplit("*", 1)
     assert body == f"N{number} {command}"
@@ -400,7 +400,7 @@ def test_golden_dialogue_with_marlin():
         (4.5, "", "echo:busy: processing\n"),
         (6.0, "", "ok\n"),
         (6.0, checksummed(4, "G01 X200 Y50 Z150 F6000"), "ok\n"),
-        # The goal, while the arm has hardly left.
+        # The goal, while the arm has hardly started.
         (6.0, checksummed(5, "M114"), "X:200.00 Y:50.00 Z:150.00 E:0.00 Count X:0 Y:0 Z:0\nok\n"),
         (6.0, checksummed(6, "M400"), ""),
         (6.4, "", ""),
@@ -409,7 +409,7 @@ def test_golden_dialogue_with_marlin():
         (6.6, checksummed(8, "G0 X900"), "Error:target out of reach\nok\n"),
         (6.6, checksummed(9, "G0 X100 F60"), "ok\n"),
         (6.6, checksummed(10, "M400"), ""),
-        # Stopped ahead of the queue, which goes on; then its own line has its turn.
+        # It stops ahead of the queue, which continues; later its own line is executed.
         (7.0, "M410", "ok\nok\n"),
     ]
     for now_s, line, answer in dialogue:
@@ -430,7 +430,7 @@ def test_without_an_emergency_parser_m410_waits_behind_m400():
     controller.poll(100.0)
     assert not controller.is_moving(100.0)
     controller.receive(b"G1 X200 F600\n", 100.0)
-    controller.receive(b"M410\n", 101.0)  # nothing keeps it from reading
+    controller.receive(b"M410\n", 101.0)  # the board reads lines again
     assert not controller.is_moving(101.1)
 
 
@@ -451,7 +451,7 @@ def test_golden_conversation_with_marlin():
             "G90",
             "G28",
             "M400",
-            "M400",  # where the way begins
+            "M400",  # the start of the path
             "M114",
             "M114",
             "G01 X200.00 Y0.00 Z150.00 F12000",
@@ -502,7 +502,7 @@ def test_golden_conversation_with_a_uarm():
     assert first == last == "\x18\x18"
     numbers, commands = zip(*(line.split(" ", 1) for line in sent), strict=True)
     assert list(numbers) == [f"#{number + 1}" for number in range(len(numbers))]
-    # How often it is asked where it is depends on how long it takes.
+    # The number of position queries depends on the duration.
     assert [command for command, _ in itertools.groupby(commands)] == [
         "M17",
         "P2203",
@@ -527,11 +527,11 @@ def test_golden_dialogue_with_a_uarm():
         (0.0, "#5 G0 X900 Y0 Z0 F100", "$5 E22\n"),
         (0.0, "#6 Q1", "$6 E20\n"),
         (0.0, "#7 G1 X200 Y0 Z150 F10", ""),
-        (0.0, "#8 P2220", ""),  # it plans
+        (0.0, "#8 P2220", ""),  # it is planning
         (0.0, "nonsense", ""),
-        (9.0, "", "$8 ok X201.2883 Y2.5764 Z146.1354\n$7 ok\n"),  # it has planned: nearly there
+        (9.0, "", "$8 ok X201.2883 Y2.5764 Z146.1354\n$7 ok\n"),  # planned, nearly there
         (9.0, "#9 G0 X250 Y0 Z100 F10", ""),
-        (9.0, "#10 M2231 V0", ""),  # it answers when the arm stands
+        (9.0, "#10 M2231 V0", ""),  # answered once the arm stands
         (60.0, "", "$9 ok\n$10 ok\n"),
         (60.0, "#11 G1 X200 Y0 Z150 F1", ""),
         (61.0, "\x18", "ok\n$11"),
@@ -543,7 +543,7 @@ def test_golden_dialogue_with_a_uarm():
         assert (line, controller.poll(now_s).decode()) == (line, answer)
 
 
-def test_a_controller_that_restarts_has_lost_its_home():
+def test_a_restarted_controller_needs_homing():
     with gcode_rig("marlin") as rig:
         rig.robot.move_to(FAR, speed_m_s=0.01, wait=False)
         rig.emulator.inject(Fault.IMPACT)

@@ -1,4 +1,4 @@
-"""Replies of other G-code firmwares: read, waited for, sent again, passed on in their own words.
+"""Replies of other G-code firmwares: parsing, waiting, resending, and errors in their own words.
 
 Each controller is the emulated Marlin with one habit of a real firmware, on a pseudo-terminal.
 """
@@ -30,14 +30,14 @@ POSITION = re.compile(r"^X:(\S+) Y:(\S+) Z:(\S+) E:.*$")
 
 
 class Habit(MarlinController):
-    """A Marlin that says things in another way.
+    """A Marlin with different replies.
 
     Parameters
     ----------
     says : callable, optional
-        Turns a line that it would say into what it says.
+        Maps a line of its reply to the one that is sent.
     refuses : int
-        Every so many numbered lines, one is taken for spoilt.
+        Every `refuses`-th numbered line is treated as garbled.
     **options
         As for `MarlinController`.
     """
@@ -63,17 +63,17 @@ class Habit(MarlinController):
 
 
 def position_as(template):
-    """Have M114 answered in another form."""
+    """Return a mapping that replaces the format of M114 replies."""
     return lambda line: POSITION.sub(lambda found: template.format(*found.groups()), line)
 
 
 def instead(old, new):
-    """Have one text said instead of another."""
+    """Return a mapping that replaces a text."""
     return lambda line: line.replace(old, new)
 
 
 def go_about(rig):
-    """Go and come back; at the arm's pace, waiting for silence takes long."""
+    """Move back and forth; in arm time, waiting for silence takes long."""
     for goal in (GOAL, FAR, GOAL):
         rig.robot.move_to(goal, timeout_s=100.0)
         rig.assert_at(goal)
@@ -98,7 +98,7 @@ def test_positions_in_many_forms(template):
         go_about(rig)
 
 
-def test_a_position_behind_the_ok():
+def test_a_position_after_the_ok():
     """Smoothieware's `ok C: X:…`."""
     held = []
 
@@ -123,7 +123,7 @@ def test_a_position_behind_the_ok():
         "X:1.00 Y:2.00 Z:3.00\x93",
     ],
 )
-def test_what_is_no_position(text):
+def test_invalid_positions_are_refused(text):
     with pytest.raises(GarbledReplyError):
         parse_position(text)
 
@@ -139,13 +139,13 @@ def test_what_is_no_position(text):
         "T:20.1 /0.0\nok",
     ],
 )
-def test_an_ok_with_more_about_it(ok):
+def test_an_ok_with_additional_text(ok):
     with gcode_rig("marlin", Habit(lambda line: ok if line == "ok" else line)) as rig:
         go_about(rig)
 
 
-def test_an_ok_that_tells_its_line():
-    """`ADVANCED_OK`; one of another line, as a stop's may be, answers nothing."""
+def test_an_ok_with_a_line_number():
+    """`ADVANCED_OK`; an `ok` of another line, such as a stop's, is ignored."""
 
     class Advanced(Habit):
         def _command(self, command, now_s):
@@ -162,7 +162,7 @@ def test_an_ok_that_tells_its_line():
 @pytest.mark.parametrize("resend", ["Resend: {}", "Resend:{}", "resend: {}", "rs {}", "rs N{}"])
 @pytest.mark.parametrize("resend_ok", [True, False])
 @pytest.mark.parametrize("refuses", [2, 3, 4])
-def test_a_line_that_is_asked_for_again_is_sent_again(resend, resend_ok, refuses):
+def test_a_requested_line_is_resent(resend, resend_ok, refuses):
     def says(line):
         found = re.fullmatch(r"Resend: (\d+)", line)
         return resend.format(found[1]) if found else line
@@ -179,10 +179,10 @@ def test_a_line_that_is_asked_for_again_is_sent_again(resend, resend_ok, refuses
     [
         ("Error:expected line {} got 99", "Resend:{}"),  # Repetier
         ("Error:Wrong checksum", "Resend:{}"),
-        ("Error:checksum mismatch, Last Line: 0", "Resend: {}"),  # the request itself counts
+        ("Error:checksum mismatch, Last Line: 0", "Resend: {}"),  # only the resend request counts
     ],
 )
-def test_the_error_before_it_is_none_of_the_command(error, resend):
+def test_the_error_before_a_resend_request_is_not_the_commands(error, resend):
     wanted = []
 
     def says(line):
@@ -195,8 +195,8 @@ def test_the_error_before_it_is_none_of_the_command(error, resend):
         go_about(rig)
 
 
-def test_a_controller_that_counts_anew_has_restarted():
-    """It says so by what it asks for only: its own first line was lost."""
+def test_a_reset_line_count_is_a_restart():
+    """Only its resend request shows the restart: its first message was lost."""
     with gcode_rig("marlin") as rig:
         rig.robot.move_to(GOAL)
         rig.controller._last = 0
@@ -220,7 +220,7 @@ def test_busy_extends_the_wait(busy):
     class Slow(Habit):
         def _move(self, word, command, now_s):
             self._go(word, command, now_s)
-            self._defer(self._end_s(now_s), now_s)  # as a board whose planner is full
+            self._defer(self._end_s(now_s), now_s)  # like a board with a full planner
 
     controller = Slow(instead("echo:busy: processing", busy))
     with gcode_rig("marlin", controller) as rig:
@@ -231,11 +231,11 @@ def test_busy_extends_the_wait(busy):
         rig.assert_at(FAR)
 
 
-# What a board says instead of doing it.
+# Refusals by the board.
 
 
 def refusing(words, *, ok=True):
-    """A board that refuses every motion once it is told to."""
+    """Return a board that refuses every motion while `refusing` is set."""
 
     class Refusing(Habit):
         refusing = False
@@ -303,7 +303,7 @@ def test_the_boards_own_reason_is_passed_on(words, error, ok):
         "!! Endstop x still triggered after retract",
     ],
 )
-def test_an_axis_that_does_not_come_home_is_told_as_such(words):
+def test_an_axis_that_fails_to_home_is_reported(words):
     class Failing(Habit):
         def _home(self, _now_s):
             self._say(f"{words}\nok")
@@ -315,8 +315,8 @@ def test_an_axis_that_does_not_come_home_is_told_as_such(words):
         assert rig.robot.status().state is RobotState.FAULT
 
 
-def test_a_remark_is_passed_on_when_the_arm_has_not_come():
-    """Words that nobody has listed, and an arm that stays where it is."""
+def test_an_unknown_remark_is_passed_on_if_the_arm_has_not_arrived():
+    """The remark is unknown and the arm does not move."""
     controller = refusing("echo:Motors are on holiday")
     with gcode_rig("marlin", controller) as rig:
         controller.refusing = True
@@ -324,7 +324,7 @@ def test_a_remark_is_passed_on_when_the_arm_has_not_come():
             rig.robot.move_to(GOAL)
 
 
-def test_a_timeout_tells_what_was_heard_last():
+def test_a_timeout_quotes_the_last_reply():
     with (
         gcode_rig("marlin", Habit(instead("ok", "huh")), connect=False) as rig,
         pytest.raises((RobotTimeoutError, GarbledReplyError), match="'huh'"),
@@ -332,7 +332,7 @@ def test_a_timeout_tells_what_was_heard_last():
         rig.robot.connect()
 
 
-def test_a_board_that_does_not_know_m410_is_refused():
+def test_a_board_without_m410_is_refused():
     class Klipper(Habit):
         def _command(self, command, now_s):
             if command.startswith("M410"):
@@ -348,8 +348,8 @@ def test_a_board_that_does_not_know_m410_is_refused():
         assert rig.controller.moves == 0
 
 
-def test_a_board_that_speaks_otherwise_is_refused_in_its_own_words():
-    """grbl takes neither numbers with sums nor M114, and sends no `ok` behind its errors."""
+def test_a_board_with_another_protocol_is_refused_in_its_own_words():
+    """grbl accepts neither numbered lines with checksums nor M114; an error replaces its `ok`."""
 
     class Grbl(Habit):
         def _carry_out(self, line, _now_s):
@@ -362,8 +362,8 @@ def test_a_board_that_speaks_otherwise_is_refused_in_its_own_words():
         rig.robot.connect()
 
 
-def test_a_dexarm_that_comes_to_its_limit_on_the_way_says_so():
-    """`G1` of a DexArm ends where its joints do; both ends here are in reach."""
+def test_a_dexarm_that_meets_a_joint_limit_on_its_path_is_an_error():
+    """`G1` of a DexArm ends at its joint limits; here both end points are in reach."""
     with gcode_rig("dexarm") as rig:
         rig.robot.move_to(GOAL.at_height(0.02))
         rig.robot.move_to(type(GOAL)(0.17, 0.09, 0.02))

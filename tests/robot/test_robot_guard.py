@@ -1,4 +1,4 @@
-"""Nothing moves that should not, and what moves is stopped when it should."""
+"""The guard: conditions of motion, causes of stops, command log and watch."""
 
 import math
 import os
@@ -37,7 +37,7 @@ from fingerpost.robot.region import SafeRegion
 from fingerpost.robot.simulated import SIMULATED_LIMITS, SimulatedOptions, SimulatedRobot
 from fingerpost.uncertainty import confidence_ellipse
 
-# Before anything moves.
+# Preconditions of motion.
 
 
 def test_nothing_moves_before_it_is_armed():
@@ -80,7 +80,7 @@ def test_nothing_is_armed_without_limits_or_beyond_them():
         assert not rig.guard.armed
 
 
-def test_from_outside_the_region_the_arm_must_enter_first():
+def test_an_arm_outside_the_region_must_enter_first():
     with guard_rig(enter=False) as rig:
         rig.robot.move_to(PLANE.pose([-100.0, 200.0], 0.1))
         with pytest.raises(RefusedError, match="enter"):
@@ -98,7 +98,7 @@ def test_a_region_beyond_the_horizon_is_refused():
         Guard(SimulatedRobot(), beyond, REGION)
 
 
-# Which fixes will do.
+# Acceptable fixes.
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_a_region_beyond_the_horizon_is_refused():
         ({"point": [math.nan, 0.0]}, "finite"),
     ],
 )
-def test_a_fix_that_will_not_do_moves_nothing(fields, words):
+def test_an_unacceptable_fix_moves_nothing(fields, words):
     with guard_rig() as rig:
         with pytest.raises(RefusedError, match=words):
             rig.guard.move(CENTRE, 0.1, fix=rig.fix(**fields), needs=Presence.FIX)
@@ -125,7 +125,7 @@ def test_a_fix_that_will_not_do_moves_nothing(fields, words):
         assert rig.guard.armed
 
 
-def test_the_gate_counts_the_uncertainty_of_the_tie():
+def test_the_gate_includes_the_uncertainty_of_the_homography():
     with guard_rig() as rig:
         plane = RobotPlane(TIE, 0.02, 2e-5 * np.diag([0, 0, 1.0, 0, 0, 1.0, 0, 0, 0]))
         guard = Guard(rig.robot, plane, REGION, clock=rig.clock)
@@ -137,11 +137,11 @@ def test_the_gate_counts_the_uncertainty_of_the_tie():
             guard.accept(rig.fix())
 
 
-# What ends a motion.
+# Causes of a stop.
 
 
 @pytest.mark.parametrize("needs", Presence)
-def test_a_vanished_operator_stops_everything(needs):
+def test_an_absent_operator_stops_all_motion(needs):
     with guard_rig(operator_timeout_s=1.0) as rig:
         rig.guard.heartbeat()
         rig.start_moving(needs)
@@ -158,7 +158,7 @@ def test_a_vanished_operator_stops_everything(needs):
             rig.guard.move(CENTRE, 0.1, fix=rig.fix(), needs=Presence.FIX)
 
 
-def test_no_command_passes_once_the_operator_is_gone_even_unwatched():
+def test_without_an_operator_no_command_passes_even_without_the_watch():
     with guard_rig(operator_timeout_s=1.0) as rig:
         rig.guard.heartbeat()
         rig.clock.sleep(1.1)
@@ -175,7 +175,7 @@ def test_no_command_passes_once_the_operator_is_gone_even_unwatched():
         {"covariance": 100.0 * np.eye(2)},
     ],
 )
-def test_a_fix_that_is_lost_holds_what_follows_it(fields):
+def test_a_lost_fix_holds_the_motion_that_follows_it(fields):
     with guard_rig() as rig:
         rig.start_moving(Presence.FIX)
         rig.guard.check()
@@ -185,10 +185,10 @@ def test_a_fix_that_is_lost_holds_what_follows_it(fields):
         assert not rig.is_moving()
         assert rig.guard.armed
         assert rig.guard.records[-1].command == "hold"
-        rig.start_moving(Presence.FIX)  # and goes on when it is back
+        rig.start_moving(Presence.FIX)  # following resumes when the fix is back
 
 
-def test_a_fix_that_gets_stale_holds_what_follows_it():
+def test_a_stale_fix_holds_the_motion_that_follows_it():
     with guard_rig() as rig:
         rig.start_moving(Presence.FIX)
         rig.clock.sleep(0.25)
@@ -199,7 +199,7 @@ def test_a_fix_that_gets_stale_holds_what_follows_it():
         assert not rig.is_moving()
 
 
-def test_what_has_been_selected_goes_on_without_a_fix():
+def test_motion_to_a_selected_point_continues_without_a_fix():
     with guard_rig() as rig:
         rig.start_moving(Presence.OPERATOR)
         rig.clock.sleep(1.0)
@@ -209,7 +209,7 @@ def test_what_has_been_selected_goes_on_without_a_fix():
 
 
 @pytest.mark.parametrize("state", [RobotState.FAULT, RobotState.DISCONNECTED])
-def test_a_robot_that_fails_is_disarmed(state, monkeypatch):
+def test_a_faulty_robot_is_disarmed(state, monkeypatch):
     with guard_rig() as rig:
         rig.start_moving(Presence.OPERATOR)
         status = RobotStatus(state, False, None, None)
@@ -242,7 +242,7 @@ def test_the_end_of_the_block_stops_the_arm_too():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_stops_the_arm_and_then_takes_its_course(number):
+def test_a_signal_stops_the_arm_and_is_then_handled_as_before(number):
     class Terminated(Exception):  # noqa: N818 - stands for the end of the process
         pass
 
@@ -270,8 +270,8 @@ def test_a_signal_stops_the_arm_and_then_takes_its_course(number):
         signal.signal(number, previous)
 
 
-def test_a_signal_that_the_program_outlives_stops_the_arm_every_time():
-    with guard_rig() as rig, rig.guard.signals(signal.SIGURG):  # ignored by default, so outlived
+def test_a_repeated_signal_stops_the_arm_every_time():
+    with guard_rig() as rig, rig.guard.signals(signal.SIGURG):  # ignored by default
         for _ in range(3):
             rig.start_moving(Presence.OPERATOR)
             signal.raise_signal(signal.SIGURG)
@@ -283,7 +283,7 @@ def test_a_signal_that_the_program_outlives_stops_the_arm_every_time():
     assert signal.getsignal(signal.SIGURG) is signal.SIG_DFL
 
 
-def test_a_block_whose_last_stop_fails_does_not_end_well():
+def test_a_failing_stop_at_the_end_of_the_block_is_raised():
     with scorbot_guard() as (rig, guard):
         with pytest.raises(ConnectionLostError, match="unplugged"), guard:
             rig.emulator.inject(Fault.UNPLUG)
@@ -305,7 +305,7 @@ def move(rig, **fields):
 
 
 def interrupt_before(method, interrupt, rig, monkeypatch):
-    """Have the guard interrupted when the robot is called, before it does what it is told."""
+    """Interrupt the guard when a method of the robot is called, before it takes effect."""
     real = getattr(rig.robot, method)
 
     def late(*arguments, **fields):
@@ -327,7 +327,7 @@ def interrupt_before(method, interrupt, rig, monkeypatch):
     ],
     ids=["move", "gripper", "wait", "visit", "enter"],
 )
-def test_an_interruption_that_overtakes_a_command_is_repeated_after_it(
+def test_a_stop_that_overtakes_a_command_is_repeated_after_it(
     interrupt, method, command, monkeypatch
 ):
     with guard_rig() as rig:
@@ -340,7 +340,7 @@ def test_an_interruption_that_overtakes_a_command_is_repeated_after_it(
 
 
 @pytest.mark.parametrize("interrupt", ["hold", "halt"])
-def test_an_arm_that_was_stopped_on_its_way_in_is_not_inside(interrupt, monkeypatch):
+def test_an_arm_stopped_while_entering_is_not_inside(interrupt, monkeypatch):
     with guard_rig(enter=False) as rig:
         with monkeypatch.context() as patch:
             interrupt_before("wait", interrupt, rig, patch)
@@ -356,7 +356,7 @@ def test_an_arm_that_was_stopped_on_its_way_in_is_not_inside(interrupt, monkeypa
     [move, lambda rig: rig.guard.gripper("close", fix=rig.fix())],
     ids=["move", "gripper"],
 )
-def test_what_was_stopped_before_it_was_sent_is_not_sent(command, monkeypatch):
+def test_a_command_stopped_before_sending_is_not_sent(command, monkeypatch):
     def stop(record):
         if record.command in ("move", "gripper"):
             rig.guard.halt("just now")
@@ -370,7 +370,7 @@ def test_what_was_stopped_before_it_was_sent_is_not_sent(command, monkeypatch):
         assert sent == []
 
 
-# A log that fails.
+# A failing log.
 
 
 class FailingLog:
@@ -390,7 +390,7 @@ def log():
 
 
 @pytest.mark.parametrize("stop", ["hold", "halt", "disarm"])
-def test_a_log_that_fails_keeps_no_stop_from_the_arm(log, stop):
+def test_a_failing_log_prevents_no_stop(log, stop):
     with guard_rig(on_record=log) as rig:
         rig.start_moving(Presence.OPERATOR)
         log.full = True
@@ -398,14 +398,14 @@ def test_a_log_that_fails_keeps_no_stop_from_the_arm(log, stop):
         assert not rig.is_moving()
         assert rig.guard.records[-1].command == stop
         log.full = False
-        with pytest.raises(RecordingError, match="No space left"):  # whose record is missing
+        with pytest.raises(RecordingError, match="No space left"):  # the stop is not logged
             move(rig)
         assert not rig.guard.armed
         rig.guard.arm()
         move(rig)
 
 
-def test_what_cannot_be_logged_is_not_sent(log):
+def test_a_command_that_cannot_be_logged_is_not_sent(log):
     with guard_rig(on_record=log) as rig:
         log.full = True
         with pytest.raises(RecordingError):
@@ -431,7 +431,7 @@ def test_a_guard_whose_arming_cannot_be_logged_is_not_armed(log):
         assert rig.guard.armed
 
 
-def test_a_stop_that_could_not_be_logged_is_told_at_the_end_of_the_block(log):
+def test_an_unlogged_stop_is_reported_at_the_end_of_the_block(log):
     with guard_rig(on_record=log) as rig:
 
         def end(error=None):
@@ -452,8 +452,8 @@ def test_a_stop_that_could_not_be_logged_is_told_at_the_end_of_the_block(log):
         assert not rig.is_moving()
 
 
-def test_the_watch_outlives_a_log_that_fails(log):
-    """In real time, from its own thread."""
+def test_the_watch_outlives_a_failing_log(log):
+    """In real time, from the watch thread."""
 
     def until_disarmed():
         end_s = time.monotonic() + 5.0
@@ -476,14 +476,14 @@ def test_the_watch_outlives_a_log_that_fails(log):
                 log.full = False
                 guard.arm()
                 log.full = True
-                until_disarmed()  # by the same watch
+                until_disarmed()  # by the watch that has outlived an error
 
         with pytest.raises(RecordingError):
             run()
 
 
 def test_the_watch_stops_the_arm_by_itself():
-    """In real time, from its own thread."""
+    """In real time, from the watch thread."""
     robot = SimulatedRobot(SimulatedOptions(homing_s=0.0))
     with robot:
         robot.home()
@@ -504,7 +504,7 @@ def test_the_watch_stops_the_arm_by_itself():
             assert robot.pose() == stopped
 
 
-def test_a_watch_that_fails_halts(monkeypatch):
+def test_an_error_of_the_watch_halts_the_arm(monkeypatch):
     with guard_rig() as rig:
         rig.start_moving(Presence.OPERATOR)
         monkeypatch.setattr(rig.guard, "check", lambda: 1 / 0)
@@ -517,7 +517,7 @@ def test_a_watch_that_fails_halts(monkeypatch):
 
 
 def test_every_command_is_logged_with_the_fix_that_caused_it():
-    heard = []
+    logged = []
     with guard_rig() as rig:
         guard = Guard(
             rig.robot,
@@ -525,7 +525,7 @@ def test_every_command_is_logged_with_the_fix_that_caused_it():
             REGION,
             GuardOptions(**PATIENT),
             clock=rig.clock,
-            on_record=heard.append,
+            on_record=logged.append,
         )
         guard.arm()
         fixes = [rig.fix([100 + 10 * k, 200]) for k in range(3)]
@@ -533,12 +533,12 @@ def test_every_command_is_logged_with_the_fix_that_caused_it():
             guard.move(fix.point, 0.1, fix=fix, needs=Presence.OPERATOR)
         guard.gripper("close", fix=fixes[0])
         guard.halt("enough")
-    moves = [record for record in heard if record.command == "move"]
+    moves = [record for record in logged if record.command == "move"]
     assert [record.fix for record in moves] == fixes
-    assert [record.command for record in heard] == ["arm", *["move"] * 3, "gripper", "halt"]
+    assert [record.command for record in logged] == ["arm", *["move"] * 3, "gripper", "halt"]
     assert moves[1].pose == PLANE.pose([110, 200], 0.1)
     assert f"[fix of {fixes[0].time_s:.3f} s, ok (100, 200)]" in str(moves[0])
-    assert tuple(heard) == guard.records
+    assert tuple(logged) == guard.records
 
 
 def test_the_speed_is_limited():
@@ -553,18 +553,18 @@ def test_the_speed_is_limited():
             rig.guard.move(CENTRE, 0.1, fix=rig.fix(), needs=Presence.OPERATOR, speed_m_s=0.0)
 
 
-# No command ever leaves the safe region or passes the ellipse gate.
+# No command leaves the safe region or passes the ellipse gate.
 
 
-class NotedRobot(SimulatedRobot):
-    """Notes what it is told to do."""
+class GoalRecorder(SimulatedRobot):
+    """A simulated robot that records its goals."""
 
     def __init__(self, clock):
         super().__init__(SimulatedOptions(homing_s=0.0), clock=clock, sleep=clock.sleep)
-        self.told = []
+        self.goals = []
 
     def move_to(self, pose, **fields):
-        self.told.append(pose)
+        self.goals.append(pose)
         super().move_to(pose, **fields)
 
 
@@ -590,35 +590,35 @@ def test_no_command_leaves_the_safe_region_or_passes_the_gate(drawn, above_m, ti
     scale, lean = tie
     plane = RobotPlane(np.array([[scale, 0.0, 0.2], [0.0, scale, -0.2], [lean, 0.0, 1.0]]), 0.02)
     clock = ManualClock()
-    robot = NotedRobot(clock)
+    robot = GoalRecorder(clock)
     robot.connect()
     robot.home()
     guard = Guard(robot, plane, REGION, GuardOptions(**PATIENT), clock=clock)
     guard.arm()
     guard.enter()
-    robot.told.clear()
+    robot.goals.clear()
     follower = Follower(guard, FollowOptions(above_m=above_m))
     for x, y, sigmas, turn, status, age_s in drawn:
         clock.sleep(0.05)
-        told = len(robot.told)
+        sent = len(robot.goals)
         axes = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
         covariance = axes @ np.diag(np.square(sigmas)) @ axes.T
         fix = fix_at([x, y], clock() - age_s, (covariance + covariance.T) / 2, status)
         follower.update(fix)
         guard.check()
-        if len(robot.told) > told:
+        if len(robot.goals) > sent:
             assert status is Status.OK
             assert age_s <= 0.3
             robot_covariance = plane.covariance_m2(fix.point, fix.covariance)
             ellipse = confidence_ellipse(plane.position_m(fix.point), robot_covariance, 0.95)
             assert ellipse.semi_axes[0] <= 0.01
-    for pose in robot.told:
+    for pose in robot.goals:
         point = plane.point(pose.position_m[:2])
         assert REGION.contains(point, plane.above_m(pose)), (point, plane.above_m(pose))
 
 
-def test_no_command_leaves_the_region_for_the_controllers_rounding_either():
-    """On the Scorbot, in its own units of 0.1 mm, corners and all."""
+def test_the_controllers_rounding_moves_no_command_out_of_the_region():
+    """On the Scorbot, in its own units of 0.1 mm, including corners."""
     rng = np.random.default_rng(4)
     plane = RobotPlane(np.diag([1e-3, 1e-3, 1.0]), 0.0, pitch_rad=TOOL_DOWN_RAD, roll_rad=0.0)
     region = SafeRegion([[371.234, -99.876], [451.057, -88.421], [440.4, 97.3]], 0.0533, 0.1277)
@@ -636,7 +636,7 @@ def test_no_command_leaves_the_region_for_the_controllers_rounding_either():
             assert region.contains(plane.point([x, y]), z)
 
 
-# With a controller on a line.
+# With an emulated controller on a line.
 
 
 @contextmanager
@@ -656,7 +656,7 @@ def scorbot_guard(**options):
         yield rig, guard
 
 
-def test_following_on_a_real_dialogue():
+def test_following_with_an_emulated_controller():
     with scorbot_guard() as (rig, guard):
         follower = Follower(guard, FollowOptions(above_m=0.05, min_cutoff_hz=5.0))
         target = np.array([60.0, 300.0])
@@ -718,7 +718,7 @@ def test_a_lost_fix_stops_the_arm_while_the_follower_waits_for_the_line():
             reader.join()
 
 
-def test_an_operator_who_watches_over_a_block_is_there_as_long_as_it_lasts():
+def test_in_an_attended_block_the_operator_counts_as_present():
     with guard_rig(operator_timeout_s=1.0) as rig:
         guard = rig.guard
         with guard.attended():
@@ -727,7 +727,7 @@ def test_an_operator_who_watches_over_a_block_is_there_as_long_as_it_lasts():
             assert guard.armed
         rig.clock.sleep(0.9)
         guard.check()
-        assert guard.armed  # he was there a moment ago
+        assert guard.armed  # the time-out counts from the end of the block
         rig.clock.sleep(0.2)
         guard.check()
         assert not guard.armed

@@ -1,6 +1,6 @@
-"""The guard outlives every error of a driver, and of the fixes that reach it.
+"""The guard survives every error of a driver and every invalid fix.
 
-The robot here goes on moving when its stop fails, as an arm does behind a line that has failed.
+The simulated robot continues to move when its stop fails, like an arm behind a dead line.
 """
 
 import math
@@ -34,11 +34,11 @@ from fingerpost.robot.simulated import SimulatedOptions, SimulatedRobot
 from fingerpost.robot.stopping import STOP_ATTEMPTS
 
 WAIT_S = 5.0
-"""For a thread to come to its turn, on a crowded machine."""
+"""Time-out for a thread to be scheduled on a loaded machine."""
 
 
 class FailingRobot(SimulatedRobot):
-    """A robot whose stop, status or commands raise, as many times as they are told to."""
+    """A robot whose stop raises a given number of times; its other methods raise on demand."""
 
     def __init__(self, *arguments, **fields):
         super().__init__(*arguments, **fields)
@@ -101,7 +101,7 @@ ERRORS = [
 ]
 
 
-# Every way to a stop.
+# All causes of a stop.
 
 
 def lose_fix(rig):
@@ -142,7 +142,7 @@ def another_move(rig):
 
 
 def interrupt_command(rig):
-    """A command that a stop overtakes: the stop that is repeated after it fails, not the first."""
+    """Overtake a command by a stop; the stop repeated after the command fails, not the first."""
     move_to, failures = rig.robot.move_to, rig.robot.failures
     rig.robot.failures = 0
 
@@ -168,7 +168,7 @@ def leave_block_by_an_error(rig):
 
 
 def receive_signal(rig):
-    with rig.guard.signals(signal.SIGURG):  # ignored by default, so outlived
+    with rig.guard.signals(signal.SIGURG):  # ignored by default
         signal.raise_signal(signal.SIGURG)
 
 
@@ -192,7 +192,7 @@ WAYS = {
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("failures", [1, STOP_ATTEMPTS, STOP_ATTEMPTS + 4])
-def test_a_stop_that_raises_is_repeated_until_it_has_gone_through(way, failures):
+def test_a_failing_stop_is_repeated_until_it_succeeds(way, failures):
     with failing_rig() as rig:
         rig.start_moving(Presence.FIX)
         rig.robot.fail_stops(failures)
@@ -203,7 +203,7 @@ def test_a_stop_that_raises_is_repeated_until_it_has_gone_through(way, failures)
         assert not rig.is_moving()
         attempts = rig.robot.attempts
         rig.guard.check()
-        assert rig.robot.attempts == attempts  # no more than needed
+        assert rig.robot.attempts == attempts  # no superfluous attempt
         said = [record.outcome for record in rig.guard.records]
         assert any("RuntimeError: the library is upset" in outcome for outcome in said), said
         assert "the library is upset" in rig.guard.why_stopped
@@ -211,16 +211,16 @@ def test_a_stop_that_raises_is_repeated_until_it_has_gone_through(way, failures)
         rig.guard.enter()
 
 
-def test_whoever_sees_that_it_is_disarmed_can_tell_why(monkeypatch):
+def test_the_reason_is_set_before_the_guard_is_disarmed(monkeypatch):
     with failing_rig() as rig:
         rig.start_moving(Presence.FIX)
         seen, stop = [], rig.robot.stop
 
-        def stop_looking():
+        def observing_stop():
             seen.append((rig.guard.armed, rig.guard.why_stopped))
             stop()
 
-        monkeypatch.setattr(rig.robot, "stop", stop_looking)
+        monkeypatch.setattr(rig.robot, "stop", observing_stop)
         rig.guard.halt("enough")
         assert seen == [(False, "enough")]
 
@@ -241,7 +241,7 @@ def test_a_stop_may_raise_anything(error):
         assert "sent at attempt 4" in rig.guard.records[-1].outcome
 
 
-def test_a_stop_that_goes_through_at_once_is_sent_once():
+def test_a_stop_that_succeeds_is_sent_once():
     with failing_rig() as rig:
         rig.start_moving(Presence.FIX)
         rig.robot.fail_stops(0)
@@ -255,7 +255,7 @@ def test_a_stop_that_goes_through_at_once_is_sent_once():
 
 @contextmanager
 def watched(**options):
-    """A guard that watches in real time, and its robot."""
+    """A guard with a real-time watch, and its robot."""
     robot = FailingRobot(SimulatedOptions(homing_s=0.0))
     with robot:
         robot.home()
@@ -275,9 +275,9 @@ def is_moving(robot):
     return robot._motion.is_moving(time.monotonic())
 
 
-def test_the_watch_repeats_a_stop_until_it_has_gone_through():
+def test_the_watch_repeats_a_stop_until_it_succeeds():
     with watched() as (robot, guard):
-        for _ in range(2):  # by the same watch
+        for _ in range(2):  # by the same watch thread
             start_moving(guard)
             robot.fail_stops(STOP_ATTEMPTS + 5, OSError(5, "Input/output error"))
             guard.halt("enough")
@@ -288,7 +288,7 @@ def test_the_watch_repeats_a_stop_until_it_has_gone_through():
 
 
 @pytest.mark.parametrize("error", [OSError("gone"), SystemExit(3), KeyboardInterrupt()])
-def test_the_watch_outlives_whatever_the_driver_raises(error):
+def test_the_watch_outlives_every_error_of_the_driver(error):
     with watched() as (robot, guard):
         start_moving(guard)
         robot.error = error
@@ -306,7 +306,7 @@ def test_the_watch_outlives_whatever_the_driver_raises(error):
         del robot.failing["status"]
 
 
-def test_a_stop_that_is_interrupted_is_repeated_too():
+def test_an_interrupted_stop_is_repeated_too():
     with failing_rig() as rig:
         rig.start_moving(Presence.FIX)
         rig.robot.fail_stops(1, KeyboardInterrupt())
@@ -317,10 +317,10 @@ def test_a_stop_that_is_interrupted_is_repeated_too():
         assert not rig.is_moving()
 
 
-# A dead line.
+# Dead lines.
 
 
-def test_a_line_that_is_dead_is_not_asked_again():
+def test_a_dead_line_is_not_tried_again():
     with failing_rig() as rig:
         rig.start_moving(Presence.FIX)
         rig.robot.fail_stops(math.inf, ConnectionLostError("unplugged"))
@@ -340,7 +340,7 @@ def test_a_line_that_is_dead_is_not_asked_again():
         assert rig.guard.records[-1].outcome == "sent"
 
 
-def test_a_line_that_was_lost_once_is_not_dead():
+def test_a_line_that_was_lost_once_is_tried_again():
     with failing_rig() as rig:
         rig.start_moving(Presence.FIX)
         rig.robot.fail_stops(1, ConnectionLostError("write failed"))
@@ -348,7 +348,7 @@ def test_a_line_that_was_lost_once_is_not_dead():
         assert not rig.is_moving()
 
 
-def test_a_robot_that_says_it_is_disconnected_is_not_asked_again():
+def test_a_disconnected_robot_is_not_tried_again():
     with failing_rig() as rig:
         rig.start_moving(Presence.FIX)
         rig.robot.fail_stops(math.inf)
@@ -377,7 +377,7 @@ def end_moving(rig, *errors):
         rig.robot.fail_stops(math.inf, *errors)
 
 
-def test_a_block_whose_stop_never_goes_through_raises_an_error_of_ours():
+def test_a_block_whose_stop_never_succeeds_raises_a_package_error():
     with failing_rig() as rig:
         words = r"may still move: RuntimeError: the library is upset; press its emergency stop"
         with pytest.raises(StopFailedError, match=words) as caught:
@@ -397,7 +397,7 @@ def test_a_stop_that_failed_before_the_end_is_raised_at_the_end():
         end(rig)
 
 
-def test_a_block_that_ends_by_an_error_keeps_it_and_notes_the_stop():
+def test_a_block_that_ends_by_an_error_keeps_it_and_adds_a_note_on_the_stop():
     def end(rig):
         with rig.guard:
             rig.robot.fail_stops(math.inf)
@@ -409,7 +409,7 @@ def test_a_block_that_ends_by_an_error_keeps_it_and_notes_the_stop():
         assert "the arm may still move" in caught.value.__notes__[0]
 
 
-def test_a_stop_that_fails_keeps_no_signal_from_its_course():
+def test_a_failing_stop_does_not_suppress_a_signal():
     robot = FailingRobot()
     robot.fail_stops(math.inf, OSError("gone"))
     arrived = []
@@ -422,7 +422,7 @@ def test_a_stop_that_fails_keeps_no_signal_from_its_course():
         signal.signal(signal.SIGURG, before)
 
 
-def test_a_log_and_a_stop_that_fail_together_are_both_outlived():
+def test_simultaneous_failures_of_log_and_stop_are_survived():
     full = []
 
     def log(_record):
@@ -442,10 +442,10 @@ def test_a_log_and_a_stop_that_fail_together_are_both_outlived():
         rig.guard.arm()
 
 
-# Arming while a stop is not through.
+# Arming during a pending stop.
 
 
-def test_nothing_is_armed_while_a_stop_fails():
+def test_the_guard_cannot_be_armed_while_a_stop_fails():
     with failing_rig() as rig:
         rig.start_moving(Presence.FIX)
         rig.robot.fail_stops(math.inf)
@@ -454,13 +454,13 @@ def test_nothing_is_armed_while_a_stop_fails():
             rig.guard.arm()
         assert not rig.guard.armed
         rig.robot.fail_stops(0)
-        rig.guard.arm()  # with one more attempt of its own
+        rig.guard.arm()  # arming makes one more attempt to stop
         assert not rig.is_moving()
         assert rig.robot.attempts == 1
 
 
-def test_a_stop_under_way_in_another_thread_keeps_the_guard_from_being_armed():
-    """Else it would land after the arming, and void the first command."""
+def test_the_guard_cannot_be_armed_during_a_stop_in_another_thread():
+    """Otherwise it would arrive after arming and cancel the first command."""
     reached, let_go = threading.Event(), threading.Event()
     with failing_rig() as rig:
         stop = rig.robot.stop
@@ -505,7 +505,7 @@ def test_a_robot_whose_status_fails_is_not_armed():
             rig.guard.arm()
 
 
-# Fixes that cannot be.
+# Invalid fixes.
 
 
 @pytest.mark.parametrize(
@@ -523,7 +523,7 @@ def test_a_robot_whose_status_fails_is_not_armed():
     ],
 )
 @pytest.mark.parametrize("first", [True, False])
-def test_a_fix_that_cannot_be_is_dropped_and_blocks_no_later_one(fault, first):
+def test_an_invalid_fix_is_dropped_and_blocks_no_later_one(fault, first):
     with failing_rig() as rig:
         before = None if first else rig.fix()
         if before is not None:
@@ -536,7 +536,7 @@ def test_a_fix_that_cannot_be_is_dropped_and_blocks_no_later_one(fault, first):
         assert rig.guard.newest_fix is later
 
 
-def test_following_goes_on_over_a_fix_that_cannot_be():
+def test_invalid_fixes_do_not_interrupt_following():
     with failing_rig() as rig:
         rig.start_moving(Presence.FIX)
         for _ in range(20):
@@ -545,22 +545,22 @@ def test_following_goes_on_over_a_fix_that_cannot_be():
             rig.guard.observe(rig.fix())
             rig.guard.check()
             assert rig.is_moving()
-        for _ in range(4):  # and such fixes alone are none
+        for _ in range(4):  # invalid fixes alone do not sustain the motion
             rig.clock.sleep(0.1)
             rig.guard.observe(rig.fix(age_s=-60.0))
             rig.guard.check()
         assert not rig.is_moving()
 
 
-def test_a_move_on_a_fix_that_cannot_be_is_refused_and_leaves_no_trace():
+def test_a_move_on_an_invalid_fix_is_refused_without_effect():
     with failing_rig() as rig:
         with pytest.raises(RefusedError, match=r"fix is -60\.000 s old"):
             rig.guard.move(CENTRE, 0.1, fix=rig.fix(age_s=-60.0), needs=Presence.FIX)
         rig.guard.move(CENTRE, 0.1, fix=rig.fix(), needs=Presence.FIX)
 
 
-def test_a_refused_point_without_bounds_is_news():
-    """Its covariance is infinite by right: the arm must hold on it."""
+def test_an_ill_conditioned_fix_with_infinite_covariance_holds_the_arm():
+    """Its covariance is legitimately infinite; the arm must hold."""
     with failing_rig() as rig:
         rig.start_moving(Presence.FIX)
         rig.clock.sleep(0.01)
@@ -571,7 +571,7 @@ def test_a_refused_point_without_bounds_is_news():
         assert not rig.is_moving()
 
 
-def test_a_clock_that_is_set_back_blocks_no_later_fix():
+def test_a_clock_set_back_blocks_no_later_fix():
     with failing_rig() as rig:
         rig.guard.observe(rig.fix())
         rig.clock.now_s -= 100.0
@@ -580,11 +580,11 @@ def test_a_clock_that_is_set_back_blocks_no_later_fix():
         assert rig.guard.newest_fix is later
 
 
-# A clock that is none.
+# Invalid clocks.
 
 
 @pytest.mark.parametrize("time_s", [math.nan, -math.inf, math.inf, 0.0])
-def test_a_clock_that_fails_keeps_no_operator_present(time_s):
+def test_an_invalid_clock_does_not_keep_the_operator_present(time_s):
     with failing_rig() as rig:
         rig.start_moving(Presence.OPERATOR)
         rig.guard.heartbeat()
@@ -596,7 +596,7 @@ def test_a_clock_that_fails_keeps_no_operator_present(time_s):
 
 
 @pytest.mark.parametrize("time_s", [math.nan, math.inf, 1e9])
-def test_a_heartbeat_at_a_time_that_is_none_keeps_no_operator_present(time_s):
+def test_a_heartbeat_at_an_invalid_time_does_not_keep_the_operator_present(time_s):
     with failing_rig() as rig:
         rig.start_moving(Presence.OPERATOR)
         now_s, rig.clock.now_s = rig.clock.now_s, time_s

@@ -59,39 +59,39 @@ def test_without_slope_it_is_a_first_order_low_pass():
 
 @pytest.mark.parametrize("speed", [0.01, 0.1, 1.0])
 @pytest.mark.parametrize("slope", [0.0, 20.0])
-def test_its_lag_is_what_it_says(speed, slope):
+def test_the_reported_lag_is_correct(speed, slope):
     one_euro = OneEuroFilter(1.0, slope, 1.0)
     ramp = speed * STEP_S * np.arange(600)[:, None] * [0.6, 0.8]
     behind = np.linalg.norm(ramp[-1] - run_filter(one_euro, ramp)[-1])
     assert behind / speed == pytest.approx(one_euro.lag_s, rel=1e-3)
 
 
-def test_the_lag_falls_with_speed_to_what_its_cutoff_gives():
+def test_the_lag_falls_with_speed_from_that_of_the_lowest_cutoff():
     lags = []
     for speed in (0.0, 0.05, 0.2, 1.0):
         one_euro = OneEuroFilter(1.0, 20.0)
         run_filter(one_euro, speed * STEP_S * np.arange(300)[:, None] * [1.0, 0.0])
         lags.append(one_euro.lag_s)
     assert lags == sorted(lags, reverse=True)
-    # (1 − α) / α steps are 1 / (2π f), whatever the step.
+    # (1 − α) / α steps are 1 / (2π f), for any step.
     assert lags[0] == pytest.approx(1 / (2 * math.pi * 1.0))
 
 
 @given(st.floats(0, 2 * math.pi))
-def test_the_result_does_not_depend_on_how_the_axes_lie(turn):
+def test_the_filter_is_invariant_to_rotation(turn):
     R = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     points = np.cumsum(np.random.default_rng(6).normal(size=(50, 2)), axis=0)
     turned = run_filter(OneEuroFilter(1.0, 0.5), points @ R.T)
     np.testing.assert_allclose(turned, run_filter(OneEuroFilter(1.0, 0.5), points) @ R.T, atol=1e-9)
 
 
-def test_it_quietens_a_hand_at_rest():
+def test_it_smooths_a_hand_at_rest():
     noise = np.random.default_rng(7).normal(size=(2000, 2))
     smooth = run_filter(OneEuroFilter(0.5), noise)[200:]
     assert smooth.std() < 0.3 * noise.std()
 
 
-def test_a_reset_forgets_everything():
+def test_a_reset_clears_the_state():
     one_euro = OneEuroFilter(1.0)
     run_filter(one_euro, np.zeros((10, 2)))
     one_euro.reset()
@@ -99,7 +99,7 @@ def test_a_reset_forgets_everything():
     assert one_euro.lag_s == 0.0
 
 
-def test_what_it_cannot_filter():
+def test_invalid_input_of_the_filter_is_refused():
     one_euro = OneEuroFilter()
     one_euro([0.0, 0.0], 1.0)
     for time_s in (1.0, 0.5, math.nan):
@@ -137,7 +137,7 @@ def test_the_arm_goes_where_the_hand_points():
         np.testing.assert_allclose(reports[-1].target, [250.0, 350.0], atol=0.5)
 
 
-def test_strides_and_speed_are_limited():
+def test_stride_length_and_speed_are_limited():
     with guard_rig() as rig:
         options = FollowOptions(speed_m_s=0.05, stride_s=0.2)
         follower = Follower(rig.guard, options)
@@ -171,17 +171,17 @@ def test_a_lost_hand_holds_the_arm_within_a_stride():
         assert follow(rig, follower, [290.0, 390.0], 8.0)[-1].state is FollowState.THERE
 
 
-def test_a_hold_by_the_watch_does_not_leave_the_follower_waiting():
+def test_the_follower_recovers_from_a_hold_by_the_watch():
     with guard_rig() as rig:
         follower = Follower(rig.guard)
         follow(rig, follower, [290.0, 390.0], 1.0)
-        rig.guard.observe(rig.fix(status=Status.LOST))  # a moment that the follower never sees
+        rig.guard.observe(rig.fix(status=Status.LOST))  # the follower does not receive this fix
         rig.guard.check()
         assert not rig.is_moving()
         assert follow(rig, follower, [290.0, 390.0], 8.0)[-1].state is FollowState.THERE
 
 
-def test_an_arm_that_does_not_go_is_halted(monkeypatch):
+def test_an_arm_that_does_not_move_is_halted(monkeypatch):
     with guard_rig() as rig:
         monkeypatch.setattr(rig.robot, "_start_move", lambda *_: None)
         follower = Follower(rig.guard)
@@ -190,7 +190,7 @@ def test_an_arm_that_does_not_go_is_halted(monkeypatch):
         assert not rig.guard.armed
 
 
-def test_time_that_passes_while_a_stride_is_sent_is_not_the_arms(monkeypatch):
+def test_the_time_to_send_a_stride_does_not_count_for_the_arm(monkeypatch):
     with guard_rig(max_fix_age_s=10.0) as rig:
         start = rig.robot._start_move
 
@@ -205,25 +205,25 @@ def test_time_that_passes_while_a_stride_is_sent_is_not_the_arms(monkeypatch):
         assert rig.guard.armed
 
 
-def test_an_arm_is_not_late_where_the_look_at_it_is(monkeypatch):
+def test_a_slow_reading_does_not_count_for_the_arm(monkeypatch):
     with guard_rig(max_fix_age_s=10.0) as rig:
         follower = Follower(rig.guard)
         follow(rig, follower, [290.0, 390.0], 0.5)
         pose = rig.robot.pose
 
-        def pose_of_before():
+        def outdated_pose():
             seen = pose()
             rig.clock.sleep(4.0)
             return seen
 
         with monkeypatch.context() as held_up:
-            held_up.setattr(rig.robot, "pose", pose_of_before)
+            held_up.setattr(rig.robot, "pose", outdated_pose)
             rig.clock.sleep(STEP_S)
             assert follower.update(rig.fix([290.0, 390.0])).state is FollowState.UNDER_WAY
         assert follow(rig, follower, [290.0, 390.0], 8.0)[-1].state is FollowState.THERE
 
 
-def test_pointing_out_of_the_region_leads_to_its_rim():
+def test_a_point_outside_the_region_leads_to_its_border():
     with guard_rig() as rig:
         follower = Follower(rig.guard, FollowOptions(above_m=0.0))
         follow(rig, follower, [5000.0, 200.0], 6.0)
@@ -232,7 +232,7 @@ def test_pointing_out_of_the_region_leads_to_its_rim():
         assert above_m == pytest.approx(0.011, abs=0.0031)
 
 
-def test_a_hand_that_trembles_within_the_dead_band_moves_nothing():
+def test_tremor_within_the_dead_band_moves_nothing():
     with guard_rig() as rig:
         follower = Follower(rig.guard)
         follow(rig, follower, CENTRE, 6.0)
@@ -243,7 +243,7 @@ def test_a_hand_that_trembles_within_the_dead_band_moves_nothing():
             assert report.state is FollowState.THERE
 
 
-def test_a_fix_that_comes_twice_or_too_late_is_smoothed_once():
+def test_duplicate_and_late_fixes_are_not_filtered_again():
     with guard_rig() as rig:
         follower = Follower(rig.guard)
         rig.clock.sleep(1.0)
@@ -261,12 +261,12 @@ def test_following_needs_arming():
 
 
 def standing(target):
-    """What the follower reports of an arm that stands at a place."""
+    """Return the follower's report on an arm that stands at a target."""
     return FollowReport(FollowState.THERE, target=np.array(target, dtype=float))
 
 
 def dwell(rig, selector, target, span_s, *, arm=None, **fields):
-    """Point at a target for a while, the arm there or as it reports; return what was selected."""
+    """Point at a target for a while, with the arm there or as reported; return the selections."""
     selected = []
     for _ in range(round(span_s / STEP_S)):
         rig.clock.sleep(STEP_S)
@@ -275,7 +275,7 @@ def dwell(rig, selector, target, span_s, *, arm=None, **fields):
     return selected
 
 
-def test_a_hand_that_stays_selects_once():
+def test_a_dwelling_hand_selects_once():
     with guard_rig() as rig:
         selector = DwellSelector(rig.guard, dwell_s=1.0, radius_m=0.01)
         assert dwell(rig, selector, [100.0, 100.0], 0.8) == []
@@ -287,7 +287,7 @@ def test_a_hand_that_stays_selects_once():
         np.testing.assert_allclose(again.point, [130.0, 100.0])
 
 
-def test_the_selected_point_is_the_mean_of_the_stay():
+def test_the_selected_point_is_the_mean_of_the_dwell():
     with guard_rig() as rig:
         selector = DwellSelector(rig.guard, dwell_s=2.0, radius_m=0.01)
         rng = np.random.default_rng(9)
@@ -300,7 +300,7 @@ def test_the_selected_point_is_the_mean_of_the_stay():
         assert np.linalg.norm(selection.point - [100.0, 100.0]) < 0.5
 
 
-def test_a_hand_that_moves_selects_nothing():
+def test_a_moving_hand_selects_nothing():
     with guard_rig() as rig:
         selector = DwellSelector(rig.guard, dwell_s=0.5, radius_m=0.01)
         for k in range(90):
@@ -309,7 +309,7 @@ def test_a_hand_that_moves_selects_nothing():
             assert selector.update(rig.fix(at), standing(at)) is None
 
 
-def test_a_hand_that_is_lost_begins_anew():
+def test_a_lost_hand_restarts_the_dwell():
     with guard_rig() as rig:
         selector = DwellSelector(rig.guard, dwell_s=1.0, radius_m=0.01)
         dwell(rig, selector, [100.0, 100.0], 0.9)
@@ -318,11 +318,11 @@ def test_a_hand_that_is_lost_begins_anew():
         assert dwell(rig, selector, [100.0, 100.0], 0.9) == []
 
 
-def test_a_hand_that_nobody_has_seen_stay_begins_anew():
+def test_a_gap_without_frames_restarts_the_dwell():
     with guard_rig(max_fix_age_s=0.3) as rig:
         selector = DwellSelector(rig.guard, dwell_s=1.0, radius_m=0.01)
         dwell(rig, selector, [100.0, 100.0], 0.5)
-        rig.clock.sleep(5.0)  # no frames: nobody knows where the hand was
+        rig.clock.sleep(5.0)  # no frames: the hand may have moved
         assert dwell(rig, selector, [100.0, 100.0], 0.9) == []
         assert len(dwell(rig, selector, [100.0, 100.0], 0.2)) == 1
 
@@ -333,10 +333,10 @@ def test_a_hand_that_nobody_has_seen_stay_begins_anew():
         FollowReport(FollowState.MOVING, target=np.array([100.0, 100.0])),
         FollowReport(FollowState.UNDER_WAY, target=np.array([100.0, 100.0])),
         FollowReport(FollowState.HOLDING),
-        standing([111.0, 100.0]),  # where the hand pointed before
+        standing([111.0, 100.0]),  # the previous target
     ],
 )
-def test_a_stay_counts_from_when_the_arm_stands_where_the_hand_points(arm):
+def test_a_dwell_counts_from_the_arms_standstill_at_the_indicated_point(arm):
     with guard_rig() as rig:
         selector = DwellSelector(rig.guard, dwell_s=1.0, radius_m=0.01)
         assert dwell(rig, selector, [100.0, 100.0], 3.0, arm=arm) == []
@@ -345,7 +345,7 @@ def test_a_stay_counts_from_when_the_arm_stands_where_the_hand_points(arm):
         assert len(dwell(rig, selector, [100.0, 100.0], 0.2)) == 1
 
 
-def test_there_means_that_the_arm_stands():
+def test_the_state_there_means_that_the_arm_stands():
     with guard_rig() as rig:
         follower = Follower(rig.guard)
         for k in range(390):
@@ -359,7 +359,7 @@ def test_there_means_that_the_arm_stands():
         assert report.state is FollowState.THERE
 
 
-def test_a_key_selects_at_once_if_the_fix_will_do():
+def test_a_key_selects_at_once_if_the_fix_is_acceptable():
     with guard_rig() as rig:
         selector = DwellSelector(rig.guard)
         fix = rig.fix([100.0, 100.0])
@@ -368,7 +368,7 @@ def test_a_key_selects_at_once_if_the_fix_will_do():
             selector.select(rig.fix(status=Status.LOST))
 
 
-def test_a_dwell_takes_time_and_room():
+def test_invalid_dwell_options_are_refused():
     with guard_rig() as rig:
         for options in ({"dwell_s": 0.0}, {"radius_m": -0.01}):
             with pytest.raises(InvalidInputError):
@@ -380,7 +380,7 @@ def test_a_dwell_takes_time_and_room():
 PICK, PLACE = np.array([80.0, 120.0]), np.array([220.0, 320.0])
 OPTIONS = PickPlaceOptions(travel_m=0.1, grip_m=0.015, release_m=0.017)
 
-# What each step leaves: point, height [m], opening of the gripper.
+# State after each step: point, height [m], opening of the gripper.
 AFTER = {
     Step.APPROACH: (PICK, 0.1, 1.0),
     Step.DESCEND: (PICK, 0.015, 1.0),
@@ -419,12 +419,12 @@ def test_the_steps_in_their_order():
             machine.advance()
 
 
-def test_a_run_takes_them_all_and_never_crosses_the_table_low():
+def test_a_run_takes_all_steps_and_travels_only_at_the_travel_height():
     with guard_rig() as rig:
         pick_place(rig).run()
         moves = [record.pose for record in rig.guard.records if record.command == "move"]
         for before, after in itertools.pairwise(moves):
-            if before.distance_m(after.at_height(before.z_m)) > 1e-6:  # sideways
+            if before.distance_m(after.at_height(before.z_m)) > 1e-6:  # a lateral move
                 assert min(before.z_m, after.z_m) == pytest.approx(0.02 + 0.1)
 
 
@@ -447,7 +447,7 @@ def test_every_step_can_be_undone(count):
 
 @pytest.mark.parametrize("then", ["advance", "undo"])
 @pytest.mark.parametrize("step", STEPS)
-def test_every_step_can_be_aborted_and_then_taken_again_or_undone(step, then):
+def test_every_step_can_be_aborted_and_then_repeated_or_undone(step, then):
     with guard_rig() as rig:
         start = (*rig.guard.where(), rig.robot.opening)
         machine = pick_place(rig)
@@ -461,7 +461,7 @@ def test_every_step_can_be_aborted_and_then_taken_again_or_undone(step, then):
         assert not rig.guard.armed
         assert machine.interrupted
         assert machine.next_step is step
-        assert rig.robot.opening == opening  # whatever it holds, it keeps
+        assert rig.robot.opening == opening  # the gripper keeps its hold
         with pytest.raises(NotArmedError):
             machine.advance()
         rig.guard.arm()
@@ -477,7 +477,7 @@ def test_every_step_can_be_aborted_and_then_taken_again_or_undone(step, then):
         assert_state(rig, *AFTER[Step.RETREAT])
 
 
-def test_a_step_that_is_stopped_before_it_is_waited_for_is_not_taken(monkeypatch):
+def test_a_step_stopped_before_the_wait_is_not_completed(monkeypatch):
     with guard_rig() as rig:
         machine = pick_place(rig)
         while machine.next_step is not Step.GO:
@@ -500,7 +500,7 @@ def test_a_step_that_is_stopped_before_it_is_waited_for_is_not_taken(monkeypatch
             assert_state(rig, *AFTER[step])
 
 
-def test_a_place_outside_the_region_is_refused_not_moved():
+def test_a_place_outside_the_region_is_refused_not_clamped():
     with guard_rig() as rig:
         inside, outside = (Selection(point, rig.fix(CENTRE)) for point in (CENTRE, [310.0, 50.0]))
         inside = Selection(np.array(CENTRE), inside.fix)
@@ -513,7 +513,7 @@ def test_a_place_outside_the_region_is_refused_not_moved():
             PickPlace(rig.guard, inside, inside, PickPlaceOptions(grip_m=0.005))
 
 
-def test_a_gripper_that_cannot_hold_the_block_is_told_before_the_arm_goes_there():
+def test_an_unsuitable_gripper_is_refused_before_any_motion():
     with guard_rig() as rig:
         inside = Selection(np.array(CENTRE), rig.fix(CENTRE))
         with pytest.raises(InvalidInputError, match=r"gripper: 0\.5 m; a width from 0 to 0\.08"):
@@ -523,7 +523,7 @@ def test_a_gripper_that_cannot_hold_the_block_is_told_before_the_arm_goes_there(
             PickPlace(rig.guard, inside, inside)
 
 
-def test_one_step_at_a_time():
+def test_steps_exclude_each_other():
     with guard_rig() as rig:
         machine = pick_place(rig)
         errors = []
@@ -540,14 +540,14 @@ def test_one_step_at_a_time():
         assert_state(rig, *AFTER[Step.DESCEND])
 
 
-def test_a_live_fix_can_be_asked_for_throughout():
+def test_a_live_fix_can_be_required_throughout():
     with guard_rig() as rig:
         machine = pick_place(rig, needs=Presence.FIX)
         with pytest.raises(RefusedError, match="old"):
             machine.run()  # the selection's own fix is stale after the first move
 
 
-def test_the_manual_clock_does_what_is_due_in_its_order():
+def test_the_manual_clock_runs_due_actions_in_order():
     clock, done = ManualClock(), []
     for delay_s in (0.3, 0.1):
         clock.at(clock() + delay_s, lambda delay_s=delay_s: done.append(delay_s))
@@ -557,7 +557,7 @@ def test_the_manual_clock_does_what_is_due_in_its_order():
     assert done == [0.1, 0.3]
 
 
-def test_the_rigs_own_numbers():
+def test_the_constants_of_the_rig():
     assert fix_at(CENTRE, 0.0).ellipse().semi_axes[0] == pytest.approx(2.448, abs=1e-3)
     assert REGION.contains(CENTRE, 0.1)
     assert PLANE.pose(CENTRE, 0.0).z_m == pytest.approx(0.02)

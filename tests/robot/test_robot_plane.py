@@ -19,10 +19,10 @@ from fingerpost.uncertainty import homography_covariance
 SEED = 1994
 DRAWS = 5000
 SCATTER = 0.06
-"""Three standard deviations of a variance from so many draws: 3 √(2 / 5000)."""
+"""Three standard deviations of a variance estimated from `DRAWS` samples: 3 √(2 / 5000)."""
 
-# Plane in millimetres, the robot's base behind it and turned by 30°, with a weak perspective as a
-# tie from few, slightly wrong gripper positions may have.
+# Plane in millimetres, the robot's base behind it and rotated by 30°, with weak perspective, as a
+# homography from few, slightly wrong gripper positions may have.
 TURN = math.radians(30)
 TIE = np.array(
     [
@@ -35,12 +35,12 @@ CORNERS = np.array([[0.0, 0.0], [300.0, 0.0], [300.0, 200.0], [0.0, 200.0]])
 
 
 def tie_covariance(sigma_m=0.0005):
-    """Covariance of a tie from nine visited points, each known to half a millimetre."""
+    """Return nine points and the covariance of a homography from them, with σ 0.5 mm per point."""
     points = np.array([[x, y] for x in (0.0, 150.0, 300.0) for y in (0.0, 100.0, 200.0)])
     return points, homography_covariance(TIE, points, sigma_m**2 * np.eye(2))
 
 
-def test_points_go_to_the_robot_and_back():
+def test_points_map_to_the_robot_and_back():
     plane = RobotPlane(TIE, 0.05)
     points = np.random.default_rng(SEED).uniform([0, 0], [300, 200], (50, 2))
     homogeneous = np.column_stack([points, np.ones(50)]) @ TIE.T
@@ -48,7 +48,7 @@ def test_points_go_to_the_robot_and_back():
     np.testing.assert_allclose(plane.point(plane.position_m(points)), points)
 
 
-def test_a_pose_stands_over_its_point_and_on_the_slope():
+def test_a_pose_is_above_its_point_and_follows_the_slope():
     plane = RobotPlane(TIE, 0.05, slope=np.array([0.01, -0.02]), pitch_rad=TOOL_DOWN_RAD)
     pose = plane.pose([100.0, 50.0], 0.03)
     x, y = plane.position_m([100.0, 50.0])
@@ -61,7 +61,7 @@ def test_coordinates_may_be_the_robots_own():
     assert plane.pose([250.0, -40.0], 0.0) == Pose(0.25, -0.04, 0.1)
 
 
-def test_the_covariance_of_a_position_meets_monte_carlo():
+def test_the_covariance_of_a_position_matches_monte_carlo():
     rng = np.random.default_rng(SEED)
     points, Σ_tie = tie_covariance()
     plane = RobotPlane(TIE, 0.05, Σ_tie)
@@ -90,7 +90,7 @@ def test_the_covariance_of_a_position_meets_monte_carlo():
         {"slope": [0.0]},
     ],
 )
-def test_a_tie_that_is_none_is_refused(change):
+def test_an_invalid_homography_is_refused(change):
     with pytest.raises(InvalidInputError):
         RobotPlane(**{"robot_from_plane": TIE, "height_m": 0.0, **change})
 
@@ -120,13 +120,13 @@ NEAR_SIDE = 1e-6
 
 
 @given(convex_polygons(), st.tuples(coordinates, coordinates), st.floats(-10, 10))
-def test_a_clamped_point_is_inside_and_the_nearest(corners, point, above_m):
+def test_a_clamped_point_is_the_nearest_inside(corners, point, above_m):
     region = SafeRegion(corners, 0.0, 0.2)
     clamped, height_m = region.clamp(point, above_m)
     assert region.contains(clamped, height_m, within=NEAR_SIDE)
     assert height_m == min(max(above_m, 0.0), 0.2)
     nothing = np.linalg.norm(clamped - point)
-    # No corner and no point of any side is nearer: projection onto a convex set is unique.
+    # No point of any side is nearer; the projection onto a convex set is unique.
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         shares = np.linspace(0.0, 1.0, 21)[:, None]
         distances = np.linalg.norm(start + shares * (end - start) - point, axis=1)
@@ -136,7 +136,7 @@ def test_a_clamped_point_is_inside_and_the_nearest(corners, point, above_m):
 
 
 @given(convex_polygons(), st.integers(0, 2**32 - 1))
-def test_a_point_inside_stays_where_it_is(corners, seed):
+def test_clamping_keeps_a_point_inside(corners, seed):
     weights = np.random.default_rng(seed).dirichlet(np.ones(len(corners)))
     region = SafeRegion(corners, 0.0, 0.2)
     inside = 0.99 * (weights @ corners) + 0.01 * region.centre
@@ -149,7 +149,7 @@ def test_a_point_inside_stays_where_it_is(corners, seed):
 @given(
     convex_polygons(), st.floats(0.0, 5.0), st.tuples(coordinates, coordinates), st.floats(-1, 1)
 )
-def test_the_inset_region_keeps_off_the_rim(corners, distance, point, above_m):
+def test_the_inset_region_keeps_its_distance_from_the_border(corners, distance, point, above_m):
     region = SafeRegion(corners, 0.0, 0.2)
     try:
         inner = region.inset(distance, 0.01)
@@ -200,7 +200,7 @@ def test_a_region_that_is_not_convex_is_refused(corners, words):
         SafeRegion(corners, 0.0, 0.1)
 
 
-def test_heights_have_their_order():
+def test_heights_must_be_in_order():
     with pytest.raises(InvalidInputError, match="highest_m"):
         SafeRegion(CORNERS, 0.2, 0.1)
     with pytest.raises(InvalidInputError, match="too small"):
@@ -210,7 +210,7 @@ def test_heights_have_their_order():
 
 
 @given(convex_polygons(), st.integers(0, 2**32 - 1))
-def test_a_straight_way_of_the_robot_between_safe_points_is_safe(corners, seed):
+def test_a_straight_path_between_safe_points_is_safe(corners, seed):
     rng = np.random.default_rng(seed)
     region = SafeRegion(corners, 0.0, 0.2)
     plane = RobotPlane(TIE, 0.05)

@@ -1,4 +1,4 @@
-"""Robots of other packages, installed as a packaging tool would, and what may be wrong there."""
+"""Robots of other packages, installed like by a packaging tool, and their errors."""
 
 import os
 import subprocess
@@ -26,7 +26,7 @@ BROKEN = {
 
 
 def install(folder, name, text):
-    """Install a package that adds a robot of a name."""
+    """Install a package that adds a robot called `name`."""
     (folder / f"{name}_package.py").write_text(text)
     info = folder / f"{name}_package-1.0.dist-info"
     info.mkdir()
@@ -38,7 +38,7 @@ def install(folder, name, text):
 
 @pytest.fixture
 def site(tmp_path, monkeypatch):
-    """A folder of packages, in the path of this process and those that it starts."""
+    """A package folder on the path of this process and its subprocesses."""
     monkeypatch.syspath_prepend(tmp_path)
     paths = [str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
@@ -57,7 +57,7 @@ def run(*arguments):
 
 
 @pytest.mark.parametrize("kind", BROKEN)
-def test_a_plug_in_that_cannot_be_imported_is_one_line(site, kind):
+def test_an_import_error_of_a_plug_in_is_reported_in_one_line(site, kind):
     text, why = BROKEN[kind]
     install(site, "broken", text)
     with pytest.raises(InvalidInputError) as caught:
@@ -71,7 +71,7 @@ def test_a_plug_in_that_cannot_be_imported_is_one_line(site, kind):
     assert "\n" not in message
 
 
-def test_a_plug_in_that_fails_leaves_all_others_alone(site):
+def test_a_broken_plug_in_does_not_affect_the_others(site):
     install(site, "broken", "1 / 0")
     install(site, "working", WORKING)
     assert {"broken", "working", "sim"} <= set(robot_names())
@@ -90,14 +90,14 @@ def test_a_plug_in_that_fails_leaves_all_others_alone(site):
         ("open_arm = 1", "not callable"),
     ],
 )
-def test_a_plug_in_that_cannot_make_its_robot_is_one_line(site, text, words):
+def test_a_factory_error_of_a_plug_in_is_reported_in_one_line(site, text, words):
     install(site, "broken", text)
     with pytest.raises(InvalidInputError, match=words) as caught:
         open_robot("broken://somewhere")
     assert "the plug-in for 'broken'" in str(caught.value)
 
 
-def test_the_command_line_says_it_in_one_line_and_goes_on_with_others(site):
+def test_the_command_line_reports_it_in_one_line_and_still_runs_others(site):
     install(site, "broken", "import no_such_library")
     failed = run("home", "broken://somewhere")
     assert failed.returncode == 2

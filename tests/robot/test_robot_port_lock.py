@@ -1,4 +1,4 @@
-"""One program a port, and the advice that bytes of XON/XOFF bring."""
+"""Exclusive use of a port, and the advice after bytes of XON/XOFF."""
 
 import fcntl
 import os
@@ -21,12 +21,12 @@ from fingerpost.robot.errors import GarbledReplyError, RobotTimeoutError
 from fingerpost.robot.serial_line import Flow, SerialLine
 
 TIOCGEXCL = 0x80045440
-"""Asks Linux for what `TIOCEXCL` has set."""
+"""Linux's `ioctl` that reads the flag set by `TIOCEXCL`."""
 
 
 @contextmanager
 def terminal():
-    """The two ends of a pseudo-terminal, as a controller on a cable has one."""
+    """A pseudo-terminal in place of a controller on a cable."""
     master, slave = pty.openpty()
     tty.setraw(slave)
     try:
@@ -38,7 +38,7 @@ def terminal():
 
 @contextmanager
 def program(text, *arguments):
-    """Another program, from the moment on that it says something."""
+    """Run another program; wait until it has opened the port."""
     command = [sys.executable, "-c", text, *arguments]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"open\n"
@@ -55,7 +55,7 @@ HOLDS = (
 
 
 @pytest.mark.parametrize("exclusive", [", exclusive=True", ""])
-def test_a_port_that_another_program_has_open_is_refused_with_its_name(exclusive):
+def test_a_port_open_in_another_program_is_refused_and_the_program_named(exclusive):
     with terminal() as device, program(HOLDS.format(exclusive), device, "its-own-word") as other:
         with pytest.raises(PortInUseError) as refused:
             SerialLine(device).open()
@@ -68,7 +68,7 @@ def test_a_port_that_another_program_has_open_is_refused_with_its_name(exclusive
         SerialLine(device).open()
 
 
-def test_another_program_is_kept_out_while_the_port_is_open():
+def test_an_open_port_excludes_another_program():
     tries = (
         "import serial, sys\n"
         "try: serial.Serial(sys.argv[1], exclusive=True)\n"
@@ -95,7 +95,7 @@ def test_two_robots_of_one_program_cannot_share_a_port():
         second.close()
 
 
-def test_the_command_says_it_in_one_line():
+def test_the_command_reports_it_in_one_line():
     with (
         make_emulator("marlin") as emulator,
         program(HOLDS.format(", exclusive=True"), emulator.address) as other,
@@ -106,7 +106,7 @@ def test_the_command_says_it_in_one_line():
         assert f"in use by process {other.pid}" in line
 
 
-def test_an_emulator_in_a_process_of_its_own_does_not_count():
+def test_an_emulator_in_another_process_does_not_count():
     command = [sys.executable, "-m", "fingerpost", "robot", "emulate", "acl", "--homing-s", "1"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         device = process.stdout.readline().decode().strip()
@@ -118,8 +118,8 @@ def test_an_emulator_in_a_process_of_its_own_does_not_count():
             process.terminate()
 
 
-def test_a_real_device_is_kept_from_all_others(monkeypatch):
-    """As on a device that is no pseudo-terminal; the flag must not outlive the line."""
+def test_a_real_device_is_opened_exclusively(monkeypatch):
+    """Like on a device that is no pseudo-terminal; the flag must not outlive the line."""
     monkeypatch.setattr(port_lock, "PSEUDO_TERMINAL_MAJORS", range(0))
     with terminal() as device:
         line = SerialLine(device)
@@ -131,7 +131,7 @@ def test_a_real_device_is_kept_from_all_others(monkeypatch):
         os.close(descriptor)
 
 
-def test_a_pseudo_terminal_is_not_left_locked_by_a_program_that_is_killed():
+def test_a_pseudo_terminal_is_not_locked_exclusively():
     with terminal() as device:
         line = SerialLine(device)
         line.open()
@@ -145,7 +145,7 @@ def _exclusive(descriptor):
     return any(flag)
 
 
-def test_where_nothing_tells_who_it_is(monkeypatch, tmp_path):
+def test_without_proc_the_other_program_is_not_named(monkeypatch, tmp_path):
     monkeypatch.setattr(port_lock, "PROC", tmp_path / "none")
     with (
         terminal() as device,
@@ -156,7 +156,7 @@ def test_where_nothing_tells_who_it_is(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("device", ["/dev/none", "/dev/null", "/etc"])
-def test_what_is_no_port_is_told_apart(device):
+def test_a_device_that_is_no_port_is_not_reported_as_in_use(device):
     with pytest.raises(ConnectionLostError) as refused:
         SerialLine(device).open()
     assert not isinstance(refused.value, PortInUseError)
@@ -175,7 +175,7 @@ def test_xoff_on_a_line_without_flow_control_brings_advice(name, caplog):
     assert caplog.text.count("flow=xonxoff") == 1
 
 
-def test_so_it_does_for_a_scorbot():
+def test_xoff_brings_advice_for_a_scorbot_as_well():
     with scorbot_rig() as rig:
         rig.emulator.inject(Fault.XOFF, count=1000)
         with pytest.raises((GarbledReplyError, RobotTimeoutError), match=r"\?flow=xonxoff"):
@@ -183,7 +183,7 @@ def test_so_it_does_for_a_scorbot():
 
 
 @pytest.mark.parametrize(("flow", "advised"), [(Flow.XON_XOFF, False), (Flow.NONE, True)])
-def test_not_where_it_is_used(flow, advised):
+def test_no_advice_on_a_line_with_flow_control(flow, advised):
     with make_emulator("marlin") as emulator:
         line = SerialLine(emulator.address, flow=flow)
         line.open()
@@ -195,7 +195,7 @@ def test_not_where_it_is_used(flow, advised):
         line.close()
 
 
-def test_a_serial_server_is_told_apart():
+def test_the_advice_for_a_serial_server_differs():
     with make_emulator("marlin", tcp_port=0) as emulator:
         line = SerialLine(emulator.address)
         line.open()

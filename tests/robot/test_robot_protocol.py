@@ -1,4 +1,4 @@
-"""What all robots share: poses, limits, orientations, readings, motion, and robots by name."""
+"""The robot protocol: poses, limits, orientations, readings, motion, and robots by name."""
 
 import math
 import sys
@@ -51,7 +51,7 @@ from fingerpost.robot.serial_line import Flow
 from fingerpost.robot.simulated import HOME, SIMULATED_LIMITS, SimulatedRobot
 
 ROUNDING_RAD = 1e-6
-"""Near half turns and the vertical, an angle is known to the root of the rounding only."""
+"""Near half turns and the vertical, the error of an angle is the square root of the rounding."""
 
 angles = st.one_of(
     st.floats(-math.pi, math.pi),
@@ -75,12 +75,12 @@ BOX = Limits(
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("field", ["x_m", "y_m", "z_m", "pitch_rad", "roll_rad", "yaw_rad"])
-def test_a_pose_is_finite(field, value):
+def test_a_pose_must_be_finite(field, value):
     with pytest.raises(InvalidInputError, match=field):
         Pose(**{"x_m": 0.0, "y_m": 0.0, "z_m": 0.0, field: value})
 
 
-def test_a_pose_can_be_said_and_raised():
+def test_a_pose_prints_and_moves_to_a_height():
     pose = Pose(0.1, -0.2, 0.3, roll_rad=math.pi / 6)
     assert str(pose) == "(0.1000, -0.2000, 0.3000) m roll 30.0°"
     assert pose.at_height(0.5) == Pose(0.1, -0.2, 0.5, roll_rad=math.pi / 6)
@@ -97,7 +97,7 @@ def test_a_pose_can_be_said_and_raised():
         (Pose(0.05, 0.0, 0.1), "0.0500 m from the base axis"),
     ],
 )
-def test_limits_name_what_is_outside(pose, words):
+def test_limits_name_the_coordinate_outside(pose, words):
     with pytest.raises(OutOfReachError, match=words):
         BOX.check(pose)
 
@@ -120,13 +120,13 @@ def test_limits_name_an_angle_that_cannot_be_set():
         {"gripper_opening_m": 0.0},
     ],
 )
-def test_limits_that_make_no_sense(change):
+def test_invalid_limits_are_refused(change):
     fields = {name: getattr(BOX, name) for name in BOX.__dataclass_fields__}
     with pytest.raises(InvalidInputError):
         Limits(**{**fields, **change})
 
 
-def test_speed_is_limited_but_must_be_one():
+def test_speed_is_clamped_and_must_be_positive():
     assert BOX.speed(None) == 0.2
     assert BOX.speed(5.0) == 0.2
     assert BOX.speed(0.05) == 0.05
@@ -135,7 +135,7 @@ def test_speed_is_limited_but_must_be_one():
             BOX.speed(speed)
 
 
-def test_openings():
+def test_openings_are_fractions_of_the_width():
     assert [BOX.opening(target) for target in ("open", "close", 0.02)] == [1.0, 0.0, 0.25]
     with pytest.raises(InvalidInputError):
         BOX.opening(0.09)
@@ -161,21 +161,21 @@ def test_rotations_agree_with_scipy(a, b, c):
 
 
 @given(angles, angles, angles)
-def test_a_poses_angles_come_back_as_the_same_rotation(pitch, roll, yaw):
+def test_angles_of_a_pose_round_trip_as_a_rotation(pitch, roll, yaw):
     R = tool_rotation(pitch, roll, yaw)
     again = tool_rotation(*pose_angles(R))
     assert angle_between(R, again) <= ROUNDING_RAD
 
 
 @given(angles, st.floats(-1.5, 1.5))
-def test_the_tool_looks_where_the_pose_says(yaw, pitch):
+def test_the_tool_points_in_the_direction_of_the_pose(yaw, pitch):
     approach = tool_rotation(pitch, 0.3, yaw)[:, 2]
     azimuth, elevation = math.atan2(approach[1], approach[0]), math.asin(approach[2])
     assert abs(math.remainder(azimuth - yaw, 2 * math.pi)) < 1e-9
     assert elevation == pytest.approx(pitch, abs=1e-9)
 
 
-def test_all_angles_or_none():
+def test_a_pose_has_all_angles_or_none():
     assert Pose(0, 0, 0).angles() is None
     assert Pose(0, 0, 0, 0.1, 0.2, 0.3).angles() == (0.1, 0.2, 0.3)
     with pytest.raises(InvalidInputError, match="roll_rad, yaw_rad not given"):
@@ -197,7 +197,7 @@ def take(readings, *values):
 def test_a_reading_counts_only_when_another_agrees():
     readings = reading_filter()
     assert take(readings, (1, 2, 3), (1, 2, 3)) == (1, 2, 3)
-    assert take(readings, (1, 2, 3)) == (1, 2, 3)  # as before
+    assert take(readings, (1, 2, 3)) == (1, 2, 3)  # unchanged
     assert take(readings, (1, 2, 4), (1, 2, 3)) == (1, 2, 3)
     readings.forget()
     with pytest.raises(StopIteration):
@@ -209,7 +209,7 @@ def test_a_reading_counts_only_when_another_agrees():
     st.integers(0, 2),
     st.integers(-9999, 9999),
 )
-def test_one_wrong_reading_of_three_never_leaves_the_arms_own_way(way, place, noise):
+def test_one_wrong_reading_of_three_never_leaves_the_arms_path(way, place, noise):
     way = sorted(way)
     wrong = [*way]
     wrong[place] = noise
@@ -218,7 +218,7 @@ def test_one_wrong_reading_of_three_never_leaves_the_arms_own_way(way, place, no
     assert way[0] <= believed[0] <= way[2]
 
 
-def test_readings_further_apart_than_the_arm_can_go_are_refused():
+def test_readings_further_apart_than_the_arm_can_move_are_refused():
     with pytest.raises(GarbledReplyError, match="disagree"):
         take(reading_filter(slack=20.0), (0, 0, 0), (10, 0, 0), (40, 0, 0))
 
@@ -275,7 +275,7 @@ def test_every_built_in_has_a_name():
         ("acl+rfc2217://server:2217", "rfc2217://server:2217"),
     ],
 )
-def test_a_url_says_which_robot_and_where(target, address):
+def test_a_url_names_robot_and_address(target, address):
     robot = open_robot(target)
     assert isinstance(robot, Scorbot)
     assert isinstance(robot, Robot)
@@ -283,7 +283,7 @@ def test_a_url_says_which_robot_and_where(target, address):
     assert robot.status().state is RobotState.DISCONNECTED
 
 
-def test_a_url_holds_options():
+def test_a_url_may_have_options():
     robot = open_robot(
         "acl:///dev/ttyUSB0?flow=xonxoff&baud=19200&lower_m=0.2,-0.3,0.05&upper_m=0.6,0.3,0.4"
     )
@@ -292,7 +292,7 @@ def test_a_url_holds_options():
     assert robot.limits.lower_m == (0.2, -0.3, 0.05)
 
 
-def test_options_by_name_win():
+def test_keyword_options_override_those_of_the_url():
     robot = open_robot("marlin://COM9?gripper_s=3", gripper_s=0.5, address="COM4")
     assert isinstance(robot, GcodeArm)
     assert robot._options.gripper_s == 0.5
@@ -337,14 +337,14 @@ def test_options_by_name_win():
         ("sim://somewhere", "takes no address"),
     ],
 )
-def test_a_url_that_will_not_do_is_refused_in_one_line(target, words):
+def test_an_invalid_url_is_refused_in_one_line(target, words):
     with pytest.raises(InvalidInputError, match=words) as caught:
         open_robot(target)
     assert "\n" not in str(caught.value)
 
 
 def open_arm(address, options):
-    """A plug-in."""
+    """Factory of a plug-in."""
     return SimulatedRobot() if address == "good" else object()
 
 
@@ -368,7 +368,7 @@ def test_a_plug_in_adds_a_robot(monkeypatch):
         (None, "No module named 'broken_plug_in'"),
     ],
 )
-def test_a_plug_in_that_cannot_be_imported_is_one_line(text, words, tmp_path, monkeypatch):
+def test_an_import_error_of_a_plug_in_is_reported_in_one_line(text, words, tmp_path, monkeypatch):
     if text is not None:
         (tmp_path / "broken_plug_in.py").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
@@ -382,7 +382,7 @@ def test_a_plug_in_that_cannot_be_imported_is_one_line(text, words, tmp_path, mo
     sys.modules.pop("broken_plug_in", None)
 
 
-def test_a_plug_in_can_be_a_dobot(monkeypatch):
+def test_a_plug_in_may_be_named_dobot(monkeypatch):
     point = EntryPoint("dobot", f"{__name__}:open_arm", registry.ENTRY_POINT_GROUP)
     monkeypatch.setattr(EntryPoint, "load", lambda _: open_arm)
     monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group else [])
@@ -392,7 +392,7 @@ def test_a_plug_in_can_be_a_dobot(monkeypatch):
 # The simulated robot.
 
 
-def test_the_simulated_robot_keeps_to_the_protocol():
+def test_the_simulated_robot_implements_the_protocol():
     clock = ManualClock()
     robot = SimulatedRobot(clock=clock, sleep=clock.sleep)
     assert isinstance(robot, Robot)
@@ -420,14 +420,14 @@ def test_an_arrival_needs_two_readings():
         ArrivalRule(readings=1)
 
 
-def test_what_is_not_emulated_is_refused():
+def test_unknown_emulators_are_refused():
     with pytest.raises(InvalidInputError, match="acl, dexarm, marlin, rosbridge, so101, uarm"):
         make_emulator("puma")
     with pytest.raises(InvalidInputError, match="time_scale"):
         make_emulator("acl", time_scale=0.0)
 
 
-def test_every_error_is_one_of_the_packages():
+def test_every_error_is_documented():
     kinds = RobotError.__subclasses__()
     assert kinds
     assert all(kind.__doc__ for kind in kinds)
@@ -439,7 +439,7 @@ def test_a_drivers_address_is_checked_without_a_url_too(address):
         Scorbot(address)
 
 
-# Options that a program makes.
+# Options made by a program.
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1.0, 1e308, 10**400, "a", True])
@@ -455,7 +455,7 @@ def test_a_drivers_address_is_checked_without_a_url_too(address):
         (ScorbotOptions, "reply_s"),
     ],
 )
-def test_options_are_checked_whoever_makes_them(kind, name, value):
+def test_options_made_by_a_program_are_checked(kind, name, value):
     with pytest.raises(InvalidInputError, match=f"^{name} is .* right$"):
         kind(**{name: value})
     with pytest.raises(InvalidInputError):
@@ -477,13 +477,13 @@ def test_options_take_every_kind_of_number():
     assert PickPlaceOptions(grip=0.02).grip == 0.02
 
 
-def test_a_block_is_not_carried_lower_than_it_is_gripped():
+def test_a_block_is_not_carried_lower_than_it_is_released():
     with pytest.raises(InvalidInputError, match=r"travel_m is 0\.05; at least release_m, 0\.06"):
         PickPlaceOptions(travel_m=0.05, release_m=0.06)
 
 
 @pytest.mark.parametrize("timeout_s", [math.nan, -1.0])
-def test_a_time_out_that_is_none_is_refused(timeout_s):
+def test_an_invalid_time_out_is_refused(timeout_s):
     clock = ManualClock()
     robot = SimulatedRobot(clock=clock, sleep=clock.sleep)
     with robot:
@@ -502,6 +502,6 @@ def test_a_time_out_that_is_none_is_refused(timeout_s):
                 act()
 
 
-def test_limits_have_their_speeds_in_order():
+def test_limits_must_have_their_speeds_in_order():
     with pytest.raises(InvalidInputError, match=r"at least min_speed_m_s, 0\.6"):
         replace(SIMULATED_LIMITS, min_speed_m_s=0.6)

@@ -1,4 +1,4 @@
-"""An arm of ROS behind rosbridge: the protocol's operations, places, stops and every fault."""
+"""A ROS arm behind rosbridge: the protocol's operations, positions, stops and faults."""
 
 import signal
 import socket
@@ -36,7 +36,7 @@ def published(rig):
     return [one["msg"] for one in rig.server.operations if one["op"] == "publish"]
 
 
-def test_it_says_what_rosbridge_understands():
+def test_it_sends_messages_of_the_rosbridge_protocol():
     with rosbridge_rig(frame="base_link", target_topic="/fingerpost/target") as rig:
         said = [one for one in rig.server.operations if one["op"] != "publish"]
         advertised, subscribed, stopped, started = said
@@ -51,7 +51,7 @@ def test_it_says_what_rosbridge_understands():
         assert stopped["args"] == {}
         rig.robot.move_to(GOAL)
         last = published(rig)[-1]
-        # No stamp: the bridge fills in its own time.
+        # Without a stamp, the bridge fills in its own time.
         assert last["header"] == {"frame_id": "base_link"}
         np.testing.assert_allclose(list(last["pose"]["position"].values()), (0.3, 0.1, 0.2))
         assert list(last["pose"]["orientation"]) == ["x", "y", "z", "w"]
@@ -59,8 +59,8 @@ def test_it_says_what_rosbridge_understands():
         np.testing.assert_allclose(turned.apply((0, 0, 1)), (0, 0, -1), atol=1e-9)
 
 
-def test_a_websocket_server_of_others_is_spoken_to_as_well():
-    """The handshake and the frames, by `websockets`' own server."""
+def test_it_connects_to_another_websocket_server():
+    """Handshake and frames with the server of `websockets`."""
     came, answered = [], threading.Event()
 
     def handle(connection):
@@ -81,7 +81,7 @@ def test_a_websocket_server_of_others_is_spoken_to_as_well():
 # Motion.
 
 
-def test_it_goes_straight_at_its_speed_turning_evenly():
+def test_it_moves_straight_at_the_given_speed_and_rotates_evenly():
     with rosbridge_rig() as rig:
         rig.robot.move_to(Pose(0.3, -0.1, 0.2, pitch_rad=TOOL_DOWN_RAD, roll_rad=0.0, yaw_rad=0.0))
         seen, begin_s = len(published(rig)), rig.clock()
@@ -99,7 +99,7 @@ def test_it_goes_straight_at_its_speed_turning_evenly():
         assert rig.robot.pose().roll_rad == pytest.approx(0.3)
 
 
-def test_the_gripper_is_two_services():
+def test_the_gripper_uses_two_services():
     with rosbridge_rig() as rig:
         rig.robot.gripper("close")
         rig.robot.gripper("open")
@@ -113,7 +113,7 @@ def test_the_gripper_is_two_services():
 
 
 @best_of_three
-def test_a_stop_arrives_within_20_ms_and_targets_end():
+def test_a_stop_arrives_within_20_ms_and_ends_the_targets():
     with rosbridge_rig() as rig:
         for goal in (FAR, NEAR):
             rig.robot.move_to(goal, wait=False, speed_m_s=0.2)
@@ -137,7 +137,7 @@ def test_a_stop_arrives_within_20_ms_and_targets_end():
             assert len(published(rig)) == sent
             wait_until(lambda: not rig.is_moving())
             assert np.linalg.norm(rig.true_m() - goal.position_m) > 0.02
-            # It was sent where it stood when it was last heard of: 20 ms of the arm before.
+            # The stop target is the last reported position, 20 ms of arm time old.
             held = list(published(rig)[-1]["pose"]["position"].values())
             np.testing.assert_allclose(rig.true_m(), held, atol=1e-9)
         rig.robot.move_to(NEAR)
@@ -158,7 +158,7 @@ def test_a_stop_from_a_signal_handler_that_interrupts_any_line():
         assert rig.robot.status().state is RobotState.IDLE
 
 
-def test_a_stop_that_is_refused_says_so():
+def test_a_refused_stop_is_reported():
     with rosbridge_rig() as rig:
         rig.server.refuses = {"/fingerpost/stop": "no such controller"}
         rig.robot.stop()
@@ -166,10 +166,10 @@ def test_a_stop_that_is_refused_says_so():
         wait_until(lambda: rig.robot._link._responses)
         with pytest.raises(CommandRefusedError, match="has not stopped the arm: no such contr"):
             rig.robot.pose()
-        rig.robot.pose()  # it is said once
+        rig.robot.pose()  # the refusal is reported once
 
 
-# What goes wrong.
+# Faults.
 
 
 def other_frame(rig):
@@ -203,7 +203,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-def test_a_fault_under_way_is_one_line_that_names_it(kind):
+def test_a_fault_during_a_move_is_named_in_one_line(kind):
     inject, error, words = FAULTS[kind]
     with rosbridge_rig(stall_s=0.3) as rig:
         rig.robot.move_to(NEAR)
@@ -223,14 +223,14 @@ def test_a_fault_under_way_is_one_line_that_names_it(kind):
         ({"start_service": "/x"}, CommandRefusedError, "/x: Service /x does not exist"),
     ],
 )
-def test_names_that_are_wrong_are_named(options, error, words):
+def test_wrong_topics_services_and_frames_are_named(options, error, words):
     with rosbridge_rig(home=False, time_scale=20.0, **options) as rig:
         rig.robot.connect()
         with pytest.raises(error, match=words):
             rig.robot.home()
 
 
-def test_who_does_not_answer_or_speaks_something_else_is_named(monkeypatch):
+def test_silent_and_foreign_servers_are_named(monkeypatch):
     monkeypatch.setattr("fingerpost.robot.rosbridge_link.OPEN_S", 0.1)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = "{}:{}".format(*silent.getsockname())
@@ -243,7 +243,7 @@ def test_who_does_not_answer_or_speaks_something_else_is_named(monkeypatch):
 @pytest.mark.parametrize(
     "url", ["rosbridge://", "rosbridge://host:0", "rosbridge://host:ros", "rosbridge://host:1/x"]
 )
-def test_an_address_that_is_none_is_one_line(url):
+def test_an_invalid_address_is_refused_in_one_line(url):
     with pytest.raises(InvalidInputError, match=r"rosbridge://10\.0\.0\.5:9090 is right"):
         open_robot(url)
 
@@ -253,7 +253,7 @@ def test_a_gripper_needs_both_services():
         open_robot("rosbridge://host?close_service=/close")
 
 
-def test_a_stop_of_a_closed_arm_says_so():
+def test_a_stop_of_a_closed_arm_is_an_error():
     with (
         rosbridge_rig(home=False) as rig,
         pytest.raises(ConnectionLostError, match="not connected"),

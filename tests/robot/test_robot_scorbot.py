@@ -1,4 +1,4 @@
-"""The Scorbot driver, tested only through the bytes of an emulated controller."""
+"""The Scorbot driver, tested through the bytes of an emulated controller."""
 
 import math
 import socket
@@ -35,14 +35,14 @@ from fingerpost.robot.scorbot import POSITION_NAMES, Scorbot, ScorbotOptions
 from fingerpost.robot.serial_line import Flow
 
 INSTANT = AclStyle(homing_s=0.05 * TIME_SCALE, full_speed_mm_s=1e9, acceleration_mm_s2=1e14)
-"""An arm that is where it was sent before anybody can look."""
+"""An arm that moves instantaneously."""
 
 NEAR_M = 1.2e-3
 """The driver's arrival tolerance, and rounding."""
 
 
 def test_golden_conversation():
-    """Connect, home, move, grip: every byte in its order."""
+    """Connect, home, move, grip: all bytes in order."""
     with scorbot_rig(INSTANT) as rig:
         rig.robot.move_to(Pose(0.4, -0.02, 0.1, pitch_rad=-math.pi / 2, roll_rad=0.1))
         rig.robot.gripper("close")
@@ -52,14 +52,14 @@ def test_golden_conversation():
         b"1:-400 2:-2541 3:-9462 4:-4631 5: 419\r\nX: 4000 Y:-200 Z: 1000 P:-900 R: 57\r\n>"
     )
     assert rig.tape.transfers == [
-        # Whatever moves is stopped, twice; then the prompt is looked for, and the echo.
+        # Two aborts stop any motion; then the driver looks for the prompt and the echo.
         ("out", ABORT + ABORT + b"\r"),
         ("in", b"\r\n>\r\n>A\r\nDone.\r\n>" * 2 + b"\r\n>"),
         ("out", b"lISTPV POSITION\r"),
         ("in", b"lISTPV POSITION\r\n" + listing_home),
         ("out", b"HOME\r"),
         ("in", b"HOME\r\nWAIT!! HOMING...\r\nHOMING COMPLETE (ROBOT)\r\n>"),
-        # HOME ends with a text rather than the prompt: find the prompt again.
+        # HOME ends with a text in place of the prompt; the driver finds the prompt again.
         ("out", b"\r"),
         ("in", b"\r\n>"),
         ("out", b"LiSTPV POSITION\r"),
@@ -84,7 +84,7 @@ def test_golden_conversation():
         ("in", b"spEeD 30\r\nDone.\r\n>"),
         ("out", b"MOveL FP00\r"),
         ("in", b"MOveL FP00\r\nDone.\r\n>"),
-        # Two readings that agree are believed; a third that repeats them shows a standstill.
+        # Two equal readings are accepted; a third equal one shows a standstill.
         ("out", b"lIstPV POSITION\r"),
         ("in", b"lIstPV POSITION\r\n" + listing_goal),
         ("out", b"ListPV POSITION\r"),
@@ -103,7 +103,7 @@ def test_it_is_a_robot():
     assert isinstance(Scorbot("/dev/null"), Robot)
 
 
-def test_it_goes_where_it_is_sent_and_says_where_it_is():
+def test_it_reaches_its_goal_and_reports_its_position():
     rng = np.random.default_rng(1)
     with scorbot_rig() as rig:
         for _ in range(5):
@@ -111,12 +111,12 @@ def test_it_goes_where_it_is_sent_and_says_where_it_is():
             rig.robot.move_to(goal)
             assert not rig.is_moving()
             assert rig.true_pose().distance_m(goal) < NEAR_M
-            believed = rig.robot.pose()
-            assert believed.distance_m(rig.true_pose()) < 2e-4
-            assert believed.pitch_rad == pytest.approx(goal.pitch_rad, abs=2e-3)
+            reported = rig.robot.pose()
+            assert reported.distance_m(rig.true_pose()) < 2e-4
+            assert reported.pitch_rad == pytest.approx(goal.pitch_rad, abs=2e-3)
 
 
-def test_angles_left_out_stay_as_they_are():
+def test_omitted_angles_keep_their_values():
     with scorbot_rig() as rig:
         rig.robot.move_to(
             Pose(0.4, 0.0, 0.1, pitch_rad=math.radians(-80), roll_rad=math.radians(30))
@@ -137,7 +137,7 @@ def test_speed_is_a_percentage_rounded_down():
         assert rig.controller.speed_percent == 30
 
 
-def test_the_arm_never_goes_faster_than_it_is_told():
+def test_a_speed_below_the_least_one_is_refused():
     with scorbot_rig() as rig:
         moves = len(rig.controller.moves)
         with pytest.raises(InvalidInputError, match=r"speed_m_s is 0\.002.* 0\.01 m/s"):
@@ -145,7 +145,7 @@ def test_the_arm_never_goes_faster_than_it_is_told():
         assert len(rig.controller.moves) == moves
 
 
-def test_a_wait_after_a_fault_is_no_arrival():
+def test_a_wait_after_a_fault_is_an_error():
     with scorbot_rig() as rig:
         rig.robot.move_to(over_table(0.4, 0.2), speed_m_s=0.02, wait=False)
         rig.emulator.inject(Fault.IMPACT)
@@ -167,10 +167,10 @@ def test_moves_are_queued_without_waiting():
         assert [move.goal_units[1] for move in rig.controller.moves] == [-1000, 1000, 0]
 
 
-def test_slow_queued_moves_are_given_their_time():
+def test_slow_queued_moves_do_not_time_out():
     with scorbot_rig() as rig:
         rig.robot.move_to(over_table(0.4, -0.1))
-        for y in (0.1, -0.1):  # 20 s of the arm each
+        for y in (0.1, -0.1):  # 20 s of arm time each
             rig.robot.move_to(over_table(0.4, y), speed_m_s=0.01, wait=False)
         rig.robot.wait()
         assert rig.true_pose().distance_m(over_table(0.4, -0.1)) < NEAR_M
@@ -201,14 +201,14 @@ def test_irregular_spacing_and_case(spacing):
         assert rig.true_pose().distance_m(over_table(0.4, 0.1)) < NEAR_M
 
 
-def test_a_controller_that_does_not_echo_is_told_to():
+def test_a_controller_without_echo_is_sent_the_echo_command():
     with scorbot_rig(AclStyle(homing_s=1.0, echo=False)) as rig:
         rig.robot.move_to(over_table(0.4, 0.1))
         assert rig.true_pose().distance_m(over_table(0.4, 0.1)) < NEAR_M
         assert ("out", b"ECHO\r") in rig.tape.transfers
 
 
-def test_a_controller_that_cannot_echo_is_understood_all_the_same(monkeypatch):
+def test_a_controller_that_cannot_echo_is_supported(monkeypatch):
     monkeypatch.setattr(
         "fingerpost.robot.emulator.acl.AclController._set_echo", lambda _self, _on: ["Done."]
     )
@@ -217,7 +217,7 @@ def test_a_controller_that_cannot_echo_is_understood_all_the_same(monkeypatch):
         assert rig.true_pose().distance_m(over_table(0.4, 0.1)) < NEAR_M
 
 
-def test_a_listing_that_stops_at_a_page_is_read_on():
+def test_a_paged_listing_is_read_completely():
     with scorbot_rig() as rig:
         rig.emulator.inject(Fault.PAGING, count=3)
         rig.robot.move_to(over_table(0.4, 0.1))
@@ -225,7 +225,7 @@ def test_a_listing_that_stops_at_a_page_is_read_on():
         assert any(b"Type <cr>" in data for _, data in rig.tape.transfers)
 
 
-# Before it may move.
+# Preconditions of motion.
 
 
 def test_nothing_moves_before_homing():
@@ -233,7 +233,7 @@ def test_nothing_moves_before_homing():
         with pytest.raises(NotHomedError):
             rig.robot.move_to(over_table(0.4, 0.0))
         with pytest.raises(NotHomedError):
-            rig.robot.pose()  # the counts mean nothing yet
+            rig.robot.pose()  # the counts have no reference yet
         with pytest.raises(NotHomedError):
             rig.robot.gripper("open")
         assert rig.controller.moves == []
@@ -288,15 +288,15 @@ def test_the_gripper_opens_closes_and_takes_a_width():
 
 
 def test_homing_reports_its_progress():
-    heard = []
+    reports = []
     with scorbot_rig(AclStyle(homing_s=5.0), home=False) as rig:
-        rig.robot.home(heard.append)
+        rig.robot.home(reports.append)
         assert rig.robot.status().homed
-    messages = [step.message for step in heard]
+    messages = [step.message for step in reports]
     assert "WAIT!! HOMING..." in messages
     assert messages[-1] == "HOMING COMPLETE (ROBOT)"
     assert "" in messages  # once a second
-    assert [step.elapsed_s for step in heard] == sorted(step.elapsed_s for step in heard)
+    assert [step.elapsed_s for step in reports] == sorted(step.elapsed_s for step in reports)
 
 
 def test_an_axis_that_fails_to_home_is_named():
@@ -318,7 +318,7 @@ def test_homing_that_lasts_too_long_is_stopped():
         wait_until(lambda: rig.controller.aborts > aborts)
 
 
-# What goes wrong.
+# Faults.
 
 
 def wait_until(true, span_s=2.0):
@@ -365,7 +365,7 @@ def test_a_goal_the_controller_cannot_reach():
         rig.robot.move_to(over_table(0.4, 0.1))
 
 
-def test_an_arm_that_does_not_go_is_found_out():
+def test_an_arm_that_does_not_move_is_detected():
     with scorbot_rig() as rig:
         rig.emulator.inject(Fault.STICK)
         with pytest.raises(NotArrivedError, match="sent to"):
@@ -393,7 +393,7 @@ def test_a_move_that_lasts_too_long_is_stopped():
 
 
 @pytest.mark.parametrize("fault", [Fault.GARBAGE, Fault.CUT, Fault.GARBLED_INPUT, Fault.SLOW])
-def test_noise_now_and_then_is_overcome_without_a_wrong_belief(fault):
+def test_occasional_noise_causes_no_wrong_position(fault):
     rng = np.random.default_rng(2)
     with scorbot_rig(slow_s=0.3 * TIME_SCALE) as rig:
         for _ in range(6):
@@ -408,8 +408,8 @@ def test_noise_now_and_then_is_overcome_without_a_wrong_belief(fault):
             assert not rig.is_moving()
 
 
-def test_a_late_answer_is_not_taken_for_a_later_one():
-    with scorbot_rig(slow_s=0.3 * TIME_SCALE) as rig:  # later than the time-out of 0.2 s
+def test_a_late_answer_is_not_mistaken_for_a_later_one():
+    with scorbot_rig(slow_s=0.3 * TIME_SCALE) as rig:  # longer than the time-out of 0.2 s
         rig.robot.move_to(over_table(0.4, -0.2))
         rig.robot.move_to(over_table(0.4, 0.2), speed_m_s=0.05, wait=False)
         for _ in range(10):
@@ -423,14 +423,14 @@ def test_a_late_answer_is_not_taken_for_a_later_one():
             assert before.y_m - 2.5e-4 <= pose.y_m <= after.y_m + 2.5e-4
 
 
-def test_noise_throughout_is_given_up():
+def test_continuous_noise_is_an_error():
     with scorbot_rig() as rig:
         rig.emulator.inject(Fault.CUT, count=10_000)
         with pytest.raises((GarbledReplyError, RobotTimeoutError)):
             rig.robot.move_to(over_table(0.4, 0.1))
 
 
-def test_the_cable_is_pulled_and_put_back():
+def test_the_cable_is_unplugged_and_plugged_in_again():
     with scorbot_rig() as rig:
         rig.robot.move_to(over_table(0.4, 0.2), speed_m_s=0.02, wait=False)
         rig.emulator.inject(Fault.UNPLUG)
@@ -439,17 +439,17 @@ def test_the_cable_is_pulled_and_put_back():
         assert rig.robot.status().state is RobotState.DISCONNECTED
         with pytest.raises(ConnectionLostError):
             rig.robot.reconnect(timeout_s=0.1 * TIME_SCALE)
-        assert rig.is_moving()  # nobody could stop it
+        assert rig.is_moving()  # without a connection, no stop was possible
         rig.emulator.inject(Fault.PLUG)
         rig.robot.reconnect()
-        wait_until(lambda: not rig.is_moving())  # connecting does
+        wait_until(lambda: not rig.is_moving())  # connecting stops the arm
         with pytest.raises(NotHomedError):
             rig.robot.move_to(over_table(0.4, 0.1))
         rig.robot.home()
         rig.robot.move_to(over_table(0.4, 0.1))
 
 
-def test_a_port_held_by_xoff_is_freed_by_the_stop():
+def test_a_stop_releases_a_port_held_by_xoff():
     with scorbot_rig(options=fast_options(flow=Flow.XON_XOFF)) as rig:
         rig.robot.move_to(over_table(0.4, 0.2), speed_m_s=0.02, wait=False)
         rig.emulator.inject(Fault.XOFF)
@@ -503,7 +503,7 @@ def test_a_pose_can_be_read_while_another_thread_waits_for_arrival():
         assert len({pose.y_m for pose in seen}) > 1
 
 
-# Other lines.
+# Network lines.
 
 
 def test_a_serial_server_by_socket():
@@ -517,7 +517,7 @@ def test_a_serial_server_by_socket():
 
 
 class LineWithoutModem(serial.Serial):
-    """A pseudo-terminal has no modem lines to ask or set."""
+    """A pseudo-terminal without modem lines to query or set."""
 
     cts = dsr = ri = cd = False
 
@@ -569,7 +569,7 @@ class Rfc2217Server:
 
 @pytest.mark.filterwarnings("ignore:set(Daemon|Name):DeprecationWarning")  # pyserial
 def test_a_serial_server_by_rfc_2217():
-    scale = 0.2 * TIME_SCALE  # two more threads pass every byte on
+    scale = 0.2 * TIME_SCALE  # two more threads forward every byte
     rig_options = {"connect": False, "time_scale": scale}
     with scorbot_rig(**rig_options) as rig, Rfc2217Server(rig.emulator.address) as server:
         clock = rig.clock
@@ -580,19 +580,19 @@ def test_a_serial_server_by_rfc_2217():
             assert rig.true_pose().distance_m(over_table(0.4, 0.1)) < NEAR_M
 
 
-def test_options_have_their_ranges():
+def test_the_defaults_of_baud_rate_and_flow_control():
     assert ScorbotOptions().baud == 9600
     assert ScorbotOptions().flow is Flow.NONE
 
 
-def test_the_tape_joins_what_goes_the_same_way():
+def test_the_tape_joins_transfers_in_the_same_direction():
     tape = Tape()
     for way, data in (("out", b"a"), ("out", b"b"), ("in", b"c")):
         tape(way, data)
     assert tape.transfers == [("out", b"ab"), ("in", b"c")]
 
 
-def test_a_stop_voids_what_waits():
+def test_a_stop_ends_a_waiting_call():
     with scorbot_rig() as rig:
         rig.robot.move_to(over_table(0.4, 0.2), speed_m_s=0.02, wait=False)
         waiter_error = []
@@ -611,7 +611,7 @@ def test_a_stop_voids_what_waits():
         assert isinstance(waiter_error[0], StoppedError)
 
 
-def test_there_is_a_gripper_error_for_arms_without():
+def test_an_arm_without_limits_has_no_gripper():
     with scorbot_rig(INSTANT) as rig:
         rig.robot._limits = None
         with pytest.raises(NotReadyError, match="limits"):

@@ -1,4 +1,4 @@
-"""The room that an arm takes up: against the emulated Scorbot's own kinematics, and over time."""
+"""Shape and whereabouts of an arm, compared with the emulated Scorbot's kinematics."""
 
 import math
 from itertools import pairwise
@@ -23,7 +23,7 @@ from fingerpost.robot.whereabouts import Whereabouts
 
 
 def joints_m(joints_rad):
-    """Shoulder, elbow and wrist of the emulated arm [m]."""
+    """Return shoulder, elbow and wrist of the emulated arm [m]."""
     base, shoulder, elbow = joints_rad[:3]
     radius, height = SHOULDER_OFFSET_MM, BASE_HEIGHT_MM
     places = [(radius, height)]
@@ -35,13 +35,13 @@ def joints_m(joints_rad):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_the_links_are_where_the_scorbots_joints_are(seed):
+def test_the_links_meet_at_the_scorbots_joints(seed):
     rng = np.random.default_rng(seed)
     while True:
         joints = rng.uniform(*JOINT_LIMITS_RAD.T)
         units = forward(joints)
         x, y, z = units[:3] / 1e4
-        again = inverse(units)  # the elbow is up, and the arm does not reach over its base
+        again = inverse(units)  # only joints with the elbow up and no reach behind the base
         if again is not None and np.allclose(again, joints, atol=1e-6):
             break
     pitch, roll = np.radians(units[3:] / 10)
@@ -56,20 +56,20 @@ def test_the_links_are_where_the_scorbots_joints_are(seed):
     assert gripper.distance(pose.position_m) < gripper.radius
 
 
-def test_a_wrist_out_of_reach_leaves_no_link_out():
+def test_a_wrist_out_of_reach_still_has_all_links():
     links = ArmShape.of_limits(None).capsules(Pose(5.0, 0.0, 0.1))
     assert all(np.isfinite([*part.start, *part.end]).all() for part in links)
     for first, second in pairwise(links[1:]):
         assert first.end == second.start
 
 
-def test_the_usual_arm_reaches_as_far_as_its_limits():
+def test_the_default_shape_reaches_its_limits():
     limits = Limits(lower_m=(-0.3, -0.4, 0.0), upper_m=(0.3, 0.4, 0.3), max_speed_m_s=0.1)
     shape = ArmShape.of_limits(limits)
     assert shape.upper_arm_m + shape.forearm_m == pytest.approx(0.5)
 
 
-def test_the_way_from_pose_to_pose_has_no_gap():
+def test_the_path_between_poses_has_no_gaps():
     poses = list(along([over_table(0.4, 0.0), over_table(0.4, 0.2), over_table(0.5, 0.2)]))
     steps = [a.distance_m(b) for a, b in pairwise(poses)]
     assert max(steps) <= STEP_M + 1e-9
@@ -78,14 +78,14 @@ def test_the_way_from_pose_to_pose_has_no_gap():
 
 
 class FixedArm:
-    """A robot of which only the build counts."""
+    """A robot reduced to its shape."""
 
     shape = SCORBOT_ER7_SHAPE
     limits = None
 
 
 def covers(whereabouts, x_m, y_m):
-    """Whether the gripper may be over a place, 0.1 m up."""
+    """Return whether the gripper may be 0.1 m above a place."""
     point = np.array([x_m, y_m, 0.1])
     return any(part.distance(point) <= part.radius for part in whereabouts.body())
 
@@ -108,7 +108,7 @@ def test_the_arm_may_be_anywhere_from_its_last_reading_to_its_goal():
     assert not covers(arm, 0.4, 0.1)
 
 
-def test_an_arm_that_was_stopped_is_where_it_is_read():
+def test_a_stopped_arm_is_at_its_last_reading():
     arm = Whereabouts(FixedArm(), RobotPlane.same(0.0))
     arm.read(over_table(0.4, -0.2), moving=False)
     arm.sent(over_table(0.4, 0.2))

@@ -1,4 +1,4 @@
-"""SO-101 on emulated servos: the manual's packets, the URDF's places, stops and every fault."""
+"""SO-101 on emulated servos: packets of the manual, kinematics of the URDF, stops and faults."""
 
 import itertools
 import json
@@ -40,7 +40,7 @@ DOWN = {"pitch_rad": TOOL_DOWN_RAD, "roll_rad": 0.0}
 NEAR, FAR = Pose(0.2, -0.08, 0.06, **DOWN), Pose(0.2, 0.08, 0.06, **DOWN)
 
 COUNT_M = 1e-3
-"""What rounding of five joints to counts of 0.088° can do at the tip [m]."""
+"""Tip error due to rounding five joints to counts of 0.088° [m]."""
 
 URDF_M = 3e-4
 """The URDF's joints lie 0.2 mm beside the arm's plane."""
@@ -92,18 +92,18 @@ def test_a_sync_write_moves_four_servos_at_the_speed_of_the_manual(bus):
     assert bus.positions(2.0)[1] == 0x0800
 
 
-def test_servos_take_no_packet_with_a_wrong_sum_and_find_the_next(bus):
+def test_servos_ignore_a_packet_with_a_wrong_checksum_and_find_the_next(bus):
     assert ask(bus, "FF FF 01 02 01 FA") == ""
     assert ask(bus, "00 FF FF 01 02 01 FB") == "FF FF 01 02 00 FC"
 
 
-def test_what_the_driver_says(tmp_path, caplog):
+def test_the_drivers_packets(tmp_path, caplog):
     with so101_rig(tmp_path) as rig:
         sent = b"".join(data for way, data in rig.tape.transfers if way == "out").hex(" ").upper()
         assert sent.startswith("FF FF FE 05 82 38 02 01 3F FF FF FE 05 82 38 02 02 3E")
         assert "FF FF FE 0A 82 1F 02 01 02 03 04 05 06 3F" in sent  # the offsets
         assert "FF FF 01 04 03 28 01 CE" in sent  # torque on
-        assert "XOFF" not in caplog.text  # bytes are no text
+        assert "XOFF" not in caplog.text  # XOFF bytes in binary data are no flow control
         # The goals are where the servos stand, written before the torque is switched on.
         goals = sent.index("FF FF FE 34 83 29 07 01 FE E9 07 00 00 18 05 02 FE DC 05")
         assert goals < sent.index("FF FF 01 04 03 28 01 CE")
@@ -126,7 +126,7 @@ def servos(tmp_path):
     return read_calibration(str(tmp_path / "arm.json"))
 
 
-def test_places_are_those_of_the_urdf_and_come_back(servos):
+def test_kinematics_match_the_urdf_and_invert(servos):
     arm, rng, back = _kinematics(SO101, servos), np.random.default_rng(5), 0
     for _ in range(200):
         counts = np.array([rng.integers(servos[n].range_min, servos[n].range_max) for n in JOINTS])
@@ -151,7 +151,7 @@ def test_places_are_those_of_the_urdf_and_come_back(servos):
 # Motion.
 
 
-def test_it_goes_straight_at_the_speed_it_was_told_and_stands_there(tmp_path):
+def test_it_moves_straight_at_the_given_speed_and_stops_at_the_goal(tmp_path):
     with so101_rig(tmp_path) as rig:
         rig.robot.move_to(NEAR)
         done = threading.Event()
@@ -167,22 +167,22 @@ def test_it_goes_straight_at_the_speed_it_was_told_and_stands_there(tmp_path):
         np.testing.assert_allclose(places[:, 2], 0.06, atol=2 * COUNT_M)
         under_way = (places[:, 1] > -0.05) & (places[:, 1] < 0.05)
         speed = np.polyfit(times[under_way], places[under_way, 1], 1)[0]
-        assert 0.04 < speed < 0.11  # a crowded machine makes it slower, but no faster
+        assert 0.04 < speed < 0.11  # a loaded machine makes it slower, never faster
         np.testing.assert_allclose(rig.true_m(), FAR.position_m, atol=COUNT_M)
         assert rig.robot.pose().distance_m(FAR) < COUNT_M
         assert rig.robot.status().state is RobotState.IDLE
 
 
-def test_no_joint_goes_faster_than_it_may(tmp_path):
+def test_joint_speeds_are_limited(tmp_path):
     with so101_rig(tmp_path, max_joint_rad_s=0.5, near_m=0.002) as rig:
         rig.robot.move_to(Pose(0.12, -0.05, 0.1, **DOWN))
         begin_s = rig.clock()
-        # The base turns by 45°, in no less than 1.6 s; at 0.15 m/s the way would take 0.7 s.
+        # The base turns by 45°, in at least 1.6 s; at 0.15 m/s the path would take 0.7 s.
         rig.robot.move_to(Pose(0.12, 0.05, 0.1, **DOWN))
         assert rig.clock() - begin_s > math.radians(45) / 0.5
 
 
-def test_moves_that_are_sent_ahead_are_gone_one_after_the_other(tmp_path):
+def test_queued_moves_are_made_in_sequence(tmp_path):
     with so101_rig(tmp_path, near_m=0.002) as rig:
         for y_m in (-0.06, -0.03, 0.0, 0.03):
             rig.robot.move_to(Pose(0.2, y_m, 0.06, **DOWN), wait=False)
@@ -193,16 +193,16 @@ def test_moves_that_are_sent_ahead_are_gone_one_after_the_other(tmp_path):
 @pytest.mark.parametrize(
     "goal", [Pose(0.3, 0.0, 0.0, **DOWN), Pose(0.05, 0.0, 0.06, **DOWN), Pose(-0.2, 0.0, 0.1)]
 )
-def test_what_cannot_be_reached_is_refused_before_anything_moves(tmp_path, goal):
+def test_an_unreachable_goal_is_refused_before_anything_moves(tmp_path, goal):
     with so101_rig(tmp_path) as rig:
         before = rig.bus.goals
         with pytest.raises(OutOfReachError, match="cannot be reached: nearer"):
             rig.robot.move_to(goal)
-        wait_until(lambda: rig.bus.goals == before + 1)  # the stop that follows any failure
+        wait_until(lambda: rig.bus.goals == before + 1)  # the stop after a failure
         assert not rig.is_moving()
 
 
-def test_the_gripper_opens_closes_and_holds_what_stops_it(tmp_path):
+def test_the_gripper_opens_closes_and_holds_an_object(tmp_path):
     with so101_rig(tmp_path) as rig:
         gripper = rig.bus.servos[6]
         rig.robot.gripper("open")
@@ -211,7 +211,7 @@ def test_the_gripper_opens_closes_and_holds_what_stops_it(tmp_path):
         rig.robot.gripper("close")
         assert gripper.at(rig.clock()) == 2700.0
         rig.robot.stop()
-        assert gripper._word(42) == CALIBRATION["gripper"]["range_min"]  # it holds on
+        assert gripper._word(42) == CALIBRATION["gripper"]["range_min"]  # it keeps its grip
         gripper.blocked_at, gripper.faults = None, 0x20
         rig.robot.gripper("close")
         gripper.faults = 0
@@ -224,7 +224,7 @@ def test_the_gripper_opens_closes_and_holds_what_stops_it(tmp_path):
 
 
 def stop_in_time(rig):
-    """Stop, and see in the emulator's log when the goals arrived at which the arm holds."""
+    """Stop, and assert from the emulator's log that the holding goals arrived in time."""
     held, write_now = [], rig.robot._bus.write_now
     rig.robot._bus.write_now = lambda *given: (held.append(given[1]), write_now(*given))
     seen, called_s = len(rig.emulator.wire), time.monotonic()
@@ -267,7 +267,7 @@ def test_a_stop_arrives_within_20_ms_and_leaves_the_torque_on(tmp_path):
 
 
 @best_of_three
-def test_a_stop_that_may_have_met_an_answer_on_the_line_is_sent_again(tmp_path):
+def test_a_stop_that_may_have_collided_with_an_answer_is_sent_again(tmp_path):
     with so101_rig(tmp_path) as rig:
         rig.emulator.inject(Fault.SILENT, count=1)
         errors = []
@@ -288,7 +288,7 @@ def test_a_stop_that_may_have_met_an_answer_on_the_line_is_sent_again(tmp_path):
         wait_until(lambda: rig.bus.goals >= goals + 2)
 
 
-def test_a_stop_that_overtakes_a_place_is_repeated_after_it(tmp_path):
+def test_a_stop_that_overtakes_a_goal_is_repeated_after_it(tmp_path):
     with so101_rig(tmp_path) as rig:
         rig.robot.move_to(NEAR)
         send_place, sent = rig.robot._send_place, []
@@ -308,7 +308,7 @@ def test_a_stop_that_overtakes_a_place_is_repeated_after_it(tmp_path):
         assert [goals[k] for k in range(1, 6)] == [rig.robot._measured[k] for k in range(1, 6)]
 
 
-def test_an_arm_that_sags_does_not_sink_with_every_stop(tmp_path):
+def test_a_sagging_arm_does_not_sink_with_every_stop(tmp_path):
     with so101_rig(tmp_path) as rig:
         rig.robot.move_to(NEAR)
         goals = {number: servo._word(42) for number, servo in rig.bus.servos.items()}
@@ -329,7 +329,7 @@ def test_servos_without_torque_are_sent_nothing_before_homing(tmp_path):
         assert not any(servo.memory[40] for servo in rig.bus.servos.values())
 
 
-def test_a_stop_of_a_closed_arm_says_so(tmp_path):
+def test_a_stop_of_a_closed_arm_is_an_error(tmp_path):
     with (
         so101_rig(tmp_path, home=False) as rig,
         pytest.raises(ConnectionLostError, match="connect"),
@@ -337,11 +337,11 @@ def test_a_stop_of_a_closed_arm_says_so(tmp_path):
         rig.robot.stop()
 
 
-# What goes wrong.
+# Faults.
 
 
 def corrupt(rig):
-    """Have every answer's checksum be wrong."""
+    """Corrupt the checksum of every answer."""
     poll = rig.bus.poll
     rig.bus.poll = lambda now_s: (data := poll(now_s)) and data[:-1] + bytes([data[-1] ^ 1])
 
@@ -383,7 +383,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-def test_a_fault_under_way_is_one_line_that_names_it(tmp_path, kind):
+def test_a_fault_during_a_move_is_named_in_one_line(tmp_path, kind):
     inject, error, words = FAULTS[kind]
     with so101_rig(tmp_path, stall_s=0.3) as rig:
         rig.robot.move_to(NEAR)
@@ -395,7 +395,7 @@ def test_a_fault_under_way_is_one_line_that_names_it(tmp_path, kind):
         wait_until(lambda: not rig.is_moving())
 
 
-def test_noise_that_passes_is_asked_about_again(tmp_path):
+def test_a_garbled_answer_is_requested_again(tmp_path):
     with so101_rig(tmp_path) as rig:
         for fault in (Fault.GARBAGE, Fault.CUT, Fault.SILENT, Fault.GARBLED_INPUT):
             rig.emulator.inject(fault, count=1)
@@ -417,7 +417,7 @@ def test_servos_that_do_not_answer_are_named(tmp_path, lost, words):
             rig.robot.connect()
 
 
-def test_the_file_of_another_arm_is_refused(tmp_path):
+def test_the_calibration_of_another_arm_is_refused(tmp_path):
     with so101_rig(tmp_path, home=False) as rig:
         rig.bus.servos[2].memory[31:33] = bytes([10, 0])
         with pytest.raises(CommandRefusedError, match=r"servo 2 .* offset 10, .* says -1126"):
@@ -440,7 +440,7 @@ def changed(name, **fields):
         (changed("elbow_flex", id=2), "two servos have one id"),
     ],
 )
-def test_a_calibration_that_is_none_is_one_line(tmp_path, text, words):
+def test_an_invalid_calibration_is_refused_in_one_line(tmp_path, text, words):
     path = tmp_path / "arm.json"
     if text is not None:
         path.write_text(text)
@@ -448,7 +448,7 @@ def test_a_calibration_that_is_none_is_one_line(tmp_path, text, words):
         open_robot(f"so101:///dev/ttyACM0?calibration={path}")
 
 
-def test_an_so100_differs_by_its_lengths_alone(tmp_path):
+def test_an_so100_differs_only_by_its_lengths(tmp_path):
     (tmp_path / "arm.json").write_bytes(calibration_file())
     arms = [open_robot(f"{n}:///dev/x?calibration={tmp_path}/arm.json") for n in ("so100", "so101")]
     assert arms[0].shape.base_height_m == 0.119

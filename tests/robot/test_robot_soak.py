@@ -13,10 +13,10 @@ def test_no_hang_no_wrong_position_and_every_stop_in_time(arm):
     report = soak(MOVES, seed=20_941, arm=arm)
     assert report.wrong_positions == []
     assert report.not_stopped == []
-    # A crowded machine delays a thread now and then; `best_of_three` says why this is no defect.
+    # A loaded machine delays a thread now and then, which is no defect (see `best_of_three`).
     assert len(report.late_stops) <= report.stops / 5
     assert report.slowest_call_s < LIMIT_S
-    # The faults did happen, and most moves arrived all the same.
+    # Faults occurred, and most moves arrived nevertheless.
     assert sum(report.faults.values()) > MOVES / 10
     assert report.arrived > MOVES / 3
     assert sum(report.errors.values()) > 0

@@ -1,4 +1,4 @@
-"""STOP reaches the wire within 20 ms at any moment, and nothing that waited moves the arm after.
+"""STOP reaches the wire within 20 ms at any moment, and no waiting command moves the arm after it.
 
 The time runs from the call to the moment the controller's port has read the abort.
 """
@@ -26,20 +26,20 @@ from fingerpost.robot.protocol import RobotState
 from fingerpost.robot.serial_line import Flow
 
 SLOW_M_S = 0.02
-"""At this speed a move across the table lasts 20 s of the arm, 0.4 s of ours."""
+"""At this speed a move across the table lasts 20 s of arm time, 0.4 s of real time."""
 
 FAR, NEAR = over_table(0.4, 0.2), over_table(0.4, -0.2)
 
 
 def stop_in_time(rig):
-    """Stop, and see in the emulator's log when the abort arrived and what it left."""
+    """Stop, and assert from the emulator's log that the abort arrived in time."""
     seen = len(rig.emulator.wire)
     called_s = time.monotonic()
     rig.robot.stop()
     arrived_s = None
     while arrived_s is None:
         assert time.monotonic() < called_s + 1.0, "the stop never arrived"
-        time.sleep(0.0005)  # leave the interpreter to the emulator's thread
+        time.sleep(0.0005)  # yield to the emulator's thread
         arrived_s = next(
             (
                 event.time_s
@@ -53,7 +53,7 @@ def stop_in_time(rig):
 
 
 class Threads:
-    """Calls in threads, and the errors they end with."""
+    """Calls in threads, and their errors."""
 
     def __init__(self, *calls):
         self.errors = []
@@ -130,7 +130,7 @@ def test_during_homing():
 
 
 @best_of_three
-def test_while_another_thread_waits_for_an_answer_that_does_not_come():
+def test_while_another_thread_waits_for_a_missing_answer():
     with scorbot_rig(options=fast_options(reply_s=2.0 * TIME_SCALE)) as rig:
         rig.robot.move_to(FAR, speed_m_s=SLOW_M_S, wait=False)
         rig.emulator.inject(Fault.SILENT, count=1000)
@@ -191,7 +191,7 @@ def test_while_another_thread_is_issuing_a_motion():
 
 
 def test_a_stop_that_overtakes_a_motion_is_repeated_after_it():
-    """The worst moment: the stop comes between the last look at the count and the bytes."""
+    """The worst moment: the stop comes between the last check of the stop count and the write."""
     with scorbot_rig() as rig:
         send = rig.robot._line.send
 
@@ -201,7 +201,7 @@ def test_a_stop_that_overtakes_a_motion_is_repeated_after_it():
                 return
             rig.robot.stop()
             send(data)
-            wait_until(rig.is_moving)  # it did get through
+            wait_until(rig.is_moving)  # the motion did start
 
         rig.robot._line.send = send_late
         with pytest.raises(StoppedError):

@@ -1,6 +1,6 @@
-"""Universal Robots: the driver against a stand-in for `ur_rtde` and its controller.
+"""Universal Robots: the driver with a stand-in for `ur_rtde` and its controller.
 
-Where the vendor's library is installed, the stand-in's methods are compared with it.
+If the vendor's library is installed, the stand-in's methods are compared with it.
 """
 
 import itertools
@@ -39,7 +39,7 @@ from fingerpost.robot.ur import UniversalRobot, UrOptions
 
 GOAL = Pose(0.3, 0.1, 0.2, pitch_rad=TOOL_DOWN_RAD, roll_rad=0.4, yaw_rad=0.0)
 SLOW_M_S = 0.01
-"""At this speed the way to `GOAL` takes 14 s."""
+"""At this speed the path to `GOAL` takes 14 s."""
 
 
 @pytest.fixture
@@ -72,7 +72,7 @@ def start_moving(robot, controller):
     assert controller.arm.is_moving()
 
 
-def test_it_goes_in_metres_and_rotation_vectors(controller):
+def test_it_moves_in_metres_and_rotation_vectors(controller):
     with ur() as robot:
         assert isinstance(robot, Robot)
         robot.home()
@@ -86,7 +86,7 @@ def test_it_goes_in_metres_and_rotation_vectors(controller):
         assert pose.roll_rad == pytest.approx(GOAL.roll_rad)
 
 
-def test_it_roll_and_yaw_of_a_vertical_gripper_are_one_turn(controller):
+def test_roll_and_yaw_of_a_vertical_gripper_are_one_rotation(controller):
     with ur() as robot:
         robot.home()
         robot.move_to(Pose(0.3, 0.0, 0.2, pitch_rad=TOOL_DOWN_RAD, roll_rad=0.5, yaw_rad=0.9))
@@ -103,7 +103,7 @@ def test_it_keeps_its_orientation_when_none_is_given(controller):
             robot.move_to(Pose(0.3, 0.1, 0.2, pitch_rad=0.0))
 
 
-def test_it_stops_and_voids_what_waits(controller):
+def test_a_stop_ends_a_waiting_call(controller):
     errors = []
     with ur() as robot:
         robot.home()
@@ -136,7 +136,7 @@ def test_it_stops_and_voids_what_waits(controller):
         ({"stuck": True}, NotArrivedError),
     ],
 )
-def test_it_bools_become_errors(controller, change, error):
+def test_false_answers_of_the_library_become_errors(controller, change, error):
     with ur() as robot:
         robot.home()
         for name, value in change.items():
@@ -145,8 +145,8 @@ def test_it_bools_become_errors(controller, change, error):
             robot.move_to(GOAL)
 
 
-def test_an_arm_that_creeps_does_not_stand(controller):
-    # From one reading to the next it moves by a tenth of what is no motion.
+def test_a_creeping_arm_does_not_count_as_standing(controller):
+    # Between two readings it moves by a tenth of the standstill tolerance.
     with ur(poll_s=0.001) as robot:
         robot.home()
         here = robot.pose()
@@ -155,26 +155,26 @@ def test_an_arm_that_creeps_does_not_stand(controller):
         assert robot.pose().distance_m(goal) < 1e-3
 
 
-def test_an_arm_whose_answer_is_late_does_not_stand(controller, monkeypatch):
-    # The second of two readings is as good as at once, but told when the stall time is over.
+def test_a_late_answer_does_not_count_as_a_standstill(controller, monkeypatch):
+    # The second of two readings is taken at once, but answered only after the stall time.
     with ur(poll_s=0.001) as robot:
         robot.home()
         here, position = robot.pose(), controller.arm.position
         late_s = itertools.cycle([0.0, 0.15])
 
-        def told_late():
+        def late_position():
             at = position()
             time.sleep(next(late_s))
             return at
 
         goal = replace(here, y_m=here.y_m + 0.02)
         robot.move_to(goal, speed_m_s=0.02, wait=False)
-        monkeypatch.setattr(controller.arm, "position", told_late)
+        monkeypatch.setattr(controller.arm, "position", late_position)
         robot.wait()
         assert robot.pose().distance_m(goal) < 1e-3
 
 
-def test_it_that_is_switched_off_is_not_ready(controller):
+def test_an_arm_that_is_switched_off_is_not_ready(controller):
     controller.mode = 3
     with ur() as robot:
         with pytest.raises(RobotFaultError, match="mode 3"):
@@ -183,12 +183,12 @@ def test_it_that_is_switched_off_is_not_ready(controller):
             robot.move_to(GOAL)
 
 
-def test_it_needs_homing_too(controller):
+def test_nothing_moves_before_homing(controller):
     with ur() as robot, pytest.raises(NotHomedError):
         robot.move_to(GOAL)
 
 
-def test_it_that_is_not_there(controller):
+def test_a_missing_arm_is_a_lost_connection(controller):
     with pytest.raises(ConnectionLostError, match="No route"):
         UniversalRobot("nobody").connect()
 
@@ -209,17 +209,17 @@ def test_it_has_no_gripper_unless_an_output_is_named(controller):
             robot.gripper("close")
 
 
-# What has to be done at the pendant.
+# Required actions at the pendant.
 
 
 def refused(robot):
-    """The words by which a command is refused."""
+    """Return the message of a refused command."""
     with pytest.raises((RobotFaultError, CommandRefusedError)) as caught:
         robot.move_to(GOAL)
     return str(caught.value)
 
 
-def test_three_reasons_of_a_standstill_are_three_messages(controller):
+def test_three_causes_of_a_standstill_have_different_messages(controller):
     said = {}
     with ur() as robot:
         robot.home()
@@ -240,7 +240,7 @@ def test_three_reasons_of_a_standstill_are_three_messages(controller):
 
 
 @pytest.mark.parametrize("happens", [UrController.stop_program, UrController.pause])
-def test_a_program_that_is_stopped_on_the_way_is_told_as_such(controller, happens):
+def test_a_program_stopped_during_a_move_is_reported(controller, happens):
     with ur() as robot:
         start_moving(robot, controller)
         happens(controller)
@@ -252,7 +252,7 @@ def test_a_program_that_is_stopped_on_the_way_is_told_as_such(controller, happen
 
 
 @pytest.mark.parametrize("afterwards", [lambda _: None, UrController.stop_program])
-def test_after_a_protective_stop_homing_goes_on_over_the_same_connection(controller, afterwards):
+def test_homing_after_a_protective_stop_keeps_the_connection(controller, afterwards):
     with ur() as robot:
         start_moving(robot, controller)
         controller.protective = True
@@ -270,8 +270,8 @@ def test_after_a_protective_stop_homing_goes_on_over_the_same_connection(control
         assert controller.watchdog_hz is not None
 
 
-def test_what_a_protective_stop_paused_does_not_go_on_by_itself(controller):
-    """Nor by a key at the pendant: the driver has ended the program."""
+def test_a_move_paused_by_a_protective_stop_does_not_resume_by_itself(controller):
+    """Nor on resuming at the pendant, for the driver has ended the program."""
     with ur() as robot:
         start_moving(robot, controller)
         controller.protective = True
@@ -282,7 +282,7 @@ def test_what_a_protective_stop_paused_does_not_go_on_by_itself(controller):
         assert not controller.arm.is_moving()
 
 
-def test_a_script_that_does_not_start_is_told_as_such(controller, monkeypatch):
+def test_a_script_that_does_not_start_is_reported(controller, monkeypatch):
     monkeypatch.setattr("fingerpost.robot.ur.SCRIPT_START_S", 0.05)
     with ur() as robot:
         controller.stop_program()
@@ -304,7 +304,7 @@ def test_a_script_that_does_not_start_is_told_as_such(controller, monkeypatch):
         ({"starts": False}, ConnectionLostError, "control script"),
     ],
 )
-def test_a_connection_that_cannot_be_made_says_why(controller, change, error, words):
+def test_a_failed_connection_states_its_cause(controller, change, error, words):
     for name, value in change.items():
         setattr(controller, name, value)
     robot = ur()
@@ -313,15 +313,15 @@ def test_a_connection_that_cannot_be_made_says_why(controller, change, error, wo
     assert robot.status().state is RobotState.DISCONNECTED
 
 
-def test_a_place_is_not_called_out_of_reach_because_nobody_took_the_question(controller):
+def test_an_unanswered_reach_query_is_not_reported_as_out_of_reach(controller):
     with ur() as robot:
         robot.home()
-        controller.takes = controller.stop_program  # just before it is asked
+        controller.takes = controller.stop_program  # just before the query
         with pytest.raises(RobotFaultError, match="control script has stopped"):
             robot.move_to(GOAL)
 
 
-def test_a_move_that_is_refused_by_a_running_script(controller):
+def test_a_move_refused_by_a_running_script(controller):
     with ur() as robot:
         robot.home()
         controller.accepts = False
@@ -332,7 +332,7 @@ def test_a_move_that_is_refused_by_a_running_script(controller):
             robot.move_to(GOAL)
 
 
-def test_connecting_again_closes_what_is_open(controller):
+def test_reconnecting_closes_open_connections(controller):
     closed = []
     with ur() as robot:
         for part in (robot._control, robot._receive):
@@ -341,7 +341,7 @@ def test_connecting_again_closes_what_is_open(controller):
         assert len(closed) == 2
 
 
-def test_a_part_that_cannot_be_closed_keeps_none_of_the_others_open(controller):
+def test_all_parts_are_closed_although_one_fails(controller):
     closed = []
 
     def fail():
@@ -353,7 +353,7 @@ def test_a_part_that_cannot_be_closed_keeps_none_of_the_others_open(controller):
     assert closed == [1]
 
 
-def test_other_errors_of_the_library_are_errors_of_ours(controller):
+def test_other_errors_of_the_library_become_package_errors(controller):
     def fail():
         raise ValueError("vector::_M_range_check")
 
@@ -364,11 +364,11 @@ def test_other_errors_of_the_library_are_errors_of_ours(controller):
             robot.pose()
 
 
-# A stop that is refused.
+# Refused stops.
 
 
-def test_a_stop_that_is_refused_stops_the_program_instead(controller):
-    """A paused program takes no stop, and would go on with its move when it is resumed."""
+def test_a_refused_stop_stops_the_program_instead(controller):
+    """A paused program accepts no stop, and would continue its move when resumed."""
     with ur() as robot:
         start_moving(robot, controller)
         controller.pause()
@@ -379,7 +379,7 @@ def test_a_stop_that_is_refused_stops_the_program_instead(controller):
 
 
 @pytest.mark.parametrize("error", [RuntimeError("broken pipe"), ValueError("NaN"), OSError(5, "")])
-def test_a_stop_that_raises_stops_the_program_instead(controller, error):
+def test_a_failing_stop_stops_the_program_instead(controller, error):
     with ur() as robot:
         start_moving(robot, controller)
         controller.stop_error = error
@@ -388,7 +388,7 @@ def test_a_stop_that_raises_stops_the_program_instead(controller, error):
         assert not controller.arm.is_moving()
 
 
-def test_a_stop_that_answers_no_is_refused(controller):
+def test_a_stop_answered_by_false_counts_as_refused(controller):
     with ur() as robot:
         start_moving(robot, controller)
         robot._control.stopL = lambda *_: False  # as some versions of the library do
@@ -396,7 +396,7 @@ def test_a_stop_that_answers_no_is_refused(controller):
         assert not controller.arm.is_moving()
 
 
-def test_a_stop_that_cannot_be_made_in_any_way_raises(controller, monkeypatch):
+def test_an_impossible_stop_raises(controller, monkeypatch):
     with ur() as robot:
         start_moving(robot, controller)
         monkeypatch.setattr(ur_dashboard, "ask", lambda *_: "Failed to execute: stop")
@@ -418,7 +418,7 @@ def test_a_program_that_has_ended_needs_no_stop(controller, monkeypatch):
         robot.stop()
 
 
-def test_a_dashboard_that_is_not_there_tells_nothing(monkeypatch):
+def test_a_missing_dashboard_gives_no_information(monkeypatch):
     monkeypatch.setattr(ur_dashboard, "PORT", 1)
     assert not ur_dashboard.remote_control_is_off("127.0.0.1")
     with pytest.raises(OSError, match="refused"):
@@ -454,7 +454,7 @@ def test_a_stop_goes_out_at_once_while_others_command(controller, monkeypatch):
 # The watchdog.
 
 
-def test_the_watchdog_is_fed_while_the_arm_moves_and_while_it_stands(controller):
+def test_the_watchdog_is_served_in_motion_and_at_rest(controller):
     with ur() as robot:
         start_moving(robot, controller)
         for _ in range(10):
@@ -467,10 +467,10 @@ def test_the_watchdog_is_fed_while_the_arm_moves_and_while_it_stands(controller)
     assert controller.overlaps == 0
 
 
-def test_a_watchdog_that_has_acted_is_set_again_by_homing(controller):
+def test_homing_restarts_an_expired_watchdog(controller):
     with ur() as robot:
         start_moving(robot, controller)
-        controller._written_s -= 1.0  # nobody has been heard of for a second
+        controller._written_s -= 1.0  # no message for a second
         with pytest.raises(RobotFaultError, match="control script has stopped"):
             robot.wait()
         robot.home()
@@ -479,7 +479,7 @@ def test_a_watchdog_that_has_acted_is_set_again_by_homing(controller):
         robot.move_to(GOAL, speed_m_s=1.0)
 
 
-def test_nobody_kicks_once_the_connection_is_closed(controller):
+def test_the_watchdog_is_not_served_after_closing(controller):
     with ur(watchdog_hz=50) as robot:
         robot.home()
         wait_until(lambda: controller.kicks > 2)
@@ -489,7 +489,7 @@ def test_nobody_kicks_once_the_connection_is_closed(controller):
     assert not any(thread.name == "ur" for thread in threading.enumerate())
 
 
-def test_a_library_without_a_watchdog_will_do_and_says_so(controller, caplog):
+def test_a_library_without_a_watchdog_works_with_a_warning(controller, caplog):
     control = libraries(controller)["rtde_control"]
     del control.setWatchdog
     with ur() as robot:
@@ -499,7 +499,7 @@ def test_a_library_without_a_watchdog_will_do_and_says_so(controller, caplog):
     assert "no watchdog" in caplog.text
 
 
-def test_commands_of_two_threads_never_meet(controller, monkeypatch):
+def test_commands_of_two_threads_never_overlap(controller, monkeypatch):
     monkeypatch.setattr("fingerpost.robot.ur.KICKS", 40)
     with ur() as robot:
         robot.home()
@@ -509,8 +509,8 @@ def test_commands_of_two_threads_never_meet(controller, monkeypatch):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_the_arm_does_not_outlive_a_process_that_is_killed(number):
-    """A process of its own, and `kill -9`: what the controller sees is that nobody writes."""
+def test_the_arm_stops_when_its_process_is_killed(number):
+    """Kill the driver's process with `kill -9`; the controller receives no more messages."""
     controller = UrController()
     program = f"""
         import time
@@ -557,7 +557,7 @@ def test_the_arm_does_not_outlive_a_process_that_is_killed(number):
 
 
 @pytest.mark.parametrize("name", ["rtde_control", "rtde_receive", "rtde_io"])
-def test_the_stand_in_has_what_ur_rtde_has(name):
+def test_the_methods_of_the_stand_in_exist_in_ur_rtde(name):
     kind = libraries(UrController())[name]
     real = getattr(pytest.importorskip(name), kind.__name__)
     for method in (method for method in vars(kind) if not method.startswith("_")):

@@ -1,4 +1,4 @@
-"""What the drivers of arms with a vendor's library have in common: that it may be missing."""
+"""Import of vendors' libraries: missing, broken or noisy ones."""
 
 import sys
 
@@ -45,7 +45,7 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(
         ("raise ImportError('libboost.so.1: cannot open')", "libboost.so.1"),
     ],
 )
-def test_a_library_that_cannot_be_imported_says_why(tmp_path, monkeypatch, importing, text, words):
+def test_an_import_error_of_a_library_is_quoted(tmp_path, monkeypatch, importing, text, words):
     (tmp_path / "a_broken_library.py").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(MissingExtraError, match=r"cannot be imported.*--force-reinstall") as caught:
@@ -54,7 +54,7 @@ def test_a_library_that_cannot_be_imported_says_why(tmp_path, monkeypatch, impor
     assert "\n" not in str(caught.value)
 
 
-def test_a_library_is_silent_from_its_import_on(tmp_path, monkeypatch, capfd, caplog):
+def test_output_of_a_library_is_redirected_from_its_import_on(tmp_path, monkeypatch, capfd, caplog):
     (tmp_path / "a_loud_library.py").write_text(
         "import logging, sys\n"
         "print('hello')\n"

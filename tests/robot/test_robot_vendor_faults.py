@@ -1,8 +1,8 @@
-"""Every kind of fault of an arm by a vendor's library, met by moves: the truth or an error of ours.
+"""Moves under every kind of fault: each ends with a correct result or a package error.
 
-A fault is there before a move, or comes while it is commanded or runs. Nothing hangs, nothing is
-believed that is not so, and afterwards the arm can be used again. FINGERPOST_FAULT_MOVES=8 has
-eight meet each.
+A fault is present before a move, or occurs while it is commanded or running. No call hangs, no
+wrong position is reported, and afterwards the arm can be used again. With FINGERPOST_FAULT_MOVES=8,
+each fault is met by eight moves.
 """
 
 import os
@@ -31,7 +31,7 @@ from fingerpost.robot.xarm import Xarm, XarmOptions
 MOVES = int(os.environ.get("FINGERPOST_FAULT_MOVES", "2"))
 
 LIMIT_S = 15.0
-"""No call lasts longer; xArm's library waits 10 s for the answer to a move."""
+"""Limit of every call; xArm's library waits 10 s for the answer to a move."""
 
 NEAR_M = 1.2e-3
 """The arrival tolerance of 1 mm, and rounding."""
@@ -40,7 +40,7 @@ GOAL = Pose(0.3, 0.1, 0.2, pitch_rad=TOOL_DOWN_RAD, roll_rad=0.4, yaw_rad=0.0)
 
 
 def moves(robot, position, fault, mend, *, goal=GOAL, near_m=NEAR_M):
-    """Move through a fault that comes before the move, or at a time of its own."""
+    """Make moves with a fault before the move or at a random time; return the outcomes."""
     first = goal
     outcomes = []
     rng = np.random.default_rng(0)
@@ -63,14 +63,14 @@ def moves(robot, position, fault, mend, *, goal=GOAL, near_m=NEAR_M):
             meddler.join()
         mend()
         recover(robot)
-        # One that is stopped in motion takes a moment to stand; until then the two differ in time.
+        # An arm stopped in motion takes a moment to stand; until then the two readings differ.
         while robot.pose().distance_m(Pose(*position())) >= near_m:
             assert time.monotonic() - begin_s < LIMIT_S
     return outcomes
 
 
 def recover(robot):
-    """Do what an operator does after an error, which may be noticed only now."""
+    """Recover from an error as an operator would; the error may be detected only now."""
     for _ in range(3):
         try:
             if robot.status().state == "disconnected":
@@ -99,7 +99,7 @@ def change(**fields):
 
 
 def raise_from(part, method, error):
-    """A method of the library that raises for a while."""
+    """Return a fault that replaces a method of the library by one that raises."""
 
     def fault(controller):
         def fail(*_):
@@ -209,7 +209,7 @@ XARM_FAULTS = {
 }
 
 
-@pytest.mark.filterwarnings(  # garbage ends threads of the library's, not those of the driver
+@pytest.mark.filterwarnings(  # garbage ends threads of the library, not those of the driver
     "ignore::pytest.PytestUnhandledThreadExceptionWarning"
 )
 @pytest.mark.parametrize("kind", XARM_FAULTS)
@@ -227,7 +227,7 @@ def test_an_xarm_through_faults(kind, xarm_box):  # noqa: F811
     assert len(outcomes) == MOVES
 
 
-# SO-101, whose servos have faults of their own beside those of the line.
+# SO-101, whose servos have faults of their own in addition to those of the line.
 
 
 SO101_FAULTS = SO101_FAULTS | {
@@ -259,7 +259,7 @@ def test_an_so101_through_faults(kind, tmp_path):
     assert len(outcomes) == MOVES
 
 
-# An arm of ROS, whose connection and nodes may fail.
+# A ROS arm, whose connection and nodes may fail.
 
 
 ROSBRIDGE_FAULTS = ROSBRIDGE_FAULTS | {
@@ -277,7 +277,7 @@ def test_an_arm_of_ros_through_faults(kind):
             rig.server.heal()
             rig.emulator.heal()
             rig.emulator.inject(Fault.PLUG)
-            time.sleep(0.05)  # the next pose has come
+            time.sleep(0.05)  # until the next pose has arrived
 
         outcomes = moves(
             rig.robot, rig.true_m, lambda: ROSBRIDGE_FAULTS[kind][0](rig), mend, near_m=2e-3

@@ -1,6 +1,6 @@
-"""UFACTORY xArm: the driver against a fake of its library, and the library against a control box.
+"""UFACTORY xArm: the driver with a fake of its library, and the library with a control box.
 
-The box is a stand-in on TCP ports: what counts there is the bytes that arrive.
+The box is a stand-in on TCP ports that records the received bytes.
 """
 
 # ruff: noqa: ARG002 - the fake has the vendor's parameters
@@ -50,7 +50,7 @@ def fake_xarm(monkeypatch):
 
         def __init__(self, port=None, is_radian=False):
             if port == "nobody":
-                raise Exception("connect socket failed")  # as the library does
+                raise Exception("connect socket failed")  # like the library
             assert is_radian
             self.connected, self.error_code = True, 0
             self.arm, self.state = FakeArm(), 0
@@ -141,7 +141,7 @@ def xarm(**options):
     return Xarm("192.168.1.185", XarmOptions(stall_s=0.1, **options))
 
 
-def test_it_goes_in_millimetres_and_fixed_angles(fake_xarm):
+def test_it_moves_in_millimetres_and_fixed_angles(fake_xarm):
     with xarm() as robot:
         assert isinstance(robot, Robot)
         robot.home()
@@ -189,7 +189,7 @@ def test_it_can_move_again_after_a_stop(fake_xarm):
         (77, RobotFaultError),
     ],
 )
-def test_it_codes_become_errors(fake_xarm, code, error):
+def test_return_codes_become_errors(fake_xarm, code, error):
     with xarm() as robot:
         robot.home()
         fake_xarm.latest.codes["set_position"] = code
@@ -197,7 +197,7 @@ def test_it_codes_become_errors(fake_xarm, code, error):
             robot.move_to(GOAL)
 
 
-def test_it_warnings_are_no_failure(fake_xarm):
+def test_warnings_are_no_failure(fake_xarm):
     with xarm() as robot:
         fake_xarm.latest.codes["set_mode"] = 2
         robot.home()
@@ -215,7 +215,7 @@ def test_it_reports_its_own_error_number(fake_xarm):
         assert robot.status().state is RobotState.FAULT
 
 
-def test_it_gripper_takes_a_width_and_stops_at_what_it_holds(fake_xarm):
+def test_the_gripper_takes_a_width_and_stops_at_an_object(fake_xarm):
     with xarm() as robot:
         robot.home()
         gripper = fake_xarm.latest.gripper
@@ -229,19 +229,19 @@ def test_it_gripper_takes_a_width_and_stops_at_what_it_holds(fake_xarm):
             robot.gripper("open")
 
 
-def test_it_without_its_gripper(fake_xarm):
+def test_an_arm_without_gripper(fake_xarm):
     with xarm(gripper=False) as robot:
         robot.home()
         with pytest.raises(GripperError):
             robot.gripper("open")
 
 
-def test_it_that_is_not_there(fake_xarm):
+def test_a_missing_arm_is_a_lost_connection(fake_xarm):
     with pytest.raises(ConnectionLostError, match="socket failed"):
         Xarm("nobody").connect()
 
 
-def test_it_that_hangs_up(fake_xarm):
+def test_a_closed_connection_is_an_error(fake_xarm):
     with xarm() as robot:
         robot.home()
         fake_xarm.latest.connected = False
@@ -262,7 +262,7 @@ def gripping(fake_xarm, robot, **changes):
 
 
 @pytest.mark.parametrize("delay_s", [0.25, 0.7, 1.3])
-def test_a_gripper_that_has_not_started_does_not_stand(fake_xarm, delay_s):
+def test_a_gripper_that_has_not_started_is_waited_for(fake_xarm, delay_s):
     with xarm() as robot:
         gripper = gripping(fake_xarm, robot, delay_s=delay_s)
         robot.gripper("close")
@@ -272,7 +272,7 @@ def test_a_gripper_that_has_not_started_does_not_stand(fake_xarm, delay_s):
         assert gripper.position() == GRIPPER_PULSES
 
 
-def test_a_slow_gripper_does_not_stand_between_two_readings(fake_xarm):
+def test_a_slow_gripper_is_waited_for(fake_xarm):
     with xarm() as robot:
         gripper = gripping(fake_xarm, robot, speed=500.0)
         robot.gripper("close")
@@ -297,15 +297,15 @@ def test_a_gripper_that_does_not_open_is_an_error(fake_xarm):
             robot.gripper("open")
 
 
-def test_a_gripper_that_is_there_already_is_not_waited_for(fake_xarm):
+def test_a_gripper_at_its_goal_is_not_waited_for(fake_xarm):
     with xarm() as robot:
         gripping(fake_xarm, robot)
         begin_s = time.monotonic()
         robot.gripper("open")
-        assert time.monotonic() - begin_s < 1.0  # of 2 that it has to start
+        assert time.monotonic() - begin_s < 1.0  # of the 2 s that it has to start
 
 
-def test_a_gripper_that_never_ends_is_an_error(fake_xarm):
+def test_a_gripper_that_never_stops_is_an_error(fake_xarm):
     with xarm(gripper_timeout_s=0.5) as robot:
         gripping(fake_xarm, robot, speed=100.0)
         with pytest.raises(GripperError, match="still moves"):
@@ -320,7 +320,7 @@ def test_a_gripper_whose_position_cannot_be_read_is_an_error(fake_xarm):
             robot.gripper("close")
 
 
-def test_a_gripper_is_stopped_while_it_is_waited_for(fake_xarm):
+def test_a_stop_ends_the_wait_for_the_gripper(fake_xarm):
     errors = []
     with xarm() as robot:
         gripping(fake_xarm, robot, delay_s=60.0)
@@ -339,13 +339,13 @@ def test_a_gripper_is_stopped_while_it_is_waited_for(fake_xarm):
     assert [type(error) for error in errors] == [StoppedError]
 
 
-# What the library answers.
+# Answers of the library.
 
 
 @pytest.mark.parametrize(
     "answer", [lambda **_: (0, None), lambda **_: (0, [1.0]), lambda **_: 1 / 0]
 )
-def test_an_answer_that_cannot_be_read_is_an_error_of_ours(fake_xarm, answer):
+def test_a_malformed_answer_becomes_a_package_error(fake_xarm, answer):
     with xarm() as robot:
         robot.home()
         fake_xarm.latest.get_position = answer
@@ -355,7 +355,7 @@ def test_an_answer_that_cannot_be_read_is_an_error_of_ours(fake_xarm, answer):
             robot.move_to(Pose(0.3, 0.1, 0.2))
 
 
-def test_a_reading_that_is_no_number_is_an_error_of_the_arm(fake_xarm):
+def test_a_nan_reading_is_an_error(fake_xarm):
     with xarm() as robot:
         robot.home()
         fake_xarm.latest.get_position = lambda **_: (0, [np.nan, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -363,19 +363,19 @@ def test_a_reading_that_is_no_number_is_an_error_of_the_arm(fake_xarm):
             robot.pose()
 
 
-def test_a_report_that_is_older_than_the_clearing_of_its_error_is_not_believed(fake_xarm):
+def test_an_outdated_error_report_is_ignored(fake_xarm):
     with xarm() as robot:
         robot.home()
         api = fake_xarm.latest
         api.error_code = 31
         api.get_err_warn_code = lambda: (0, [0, 0])
         robot.pose()
-        api.get_err_warn_code = lambda: 1 / 0  # and one that cannot be asked about is
+        api.get_err_warn_code = lambda: 1 / 0  # unverifiable, the report counts
         with pytest.raises(RobotFaultError, match="C31"):
             robot.pose()
 
 
-def test_an_arm_that_is_paused_at_its_box_is_not_told_to_move(fake_xarm):
+def test_an_arm_paused_at_its_box_is_not_moved(fake_xarm):
     with xarm() as robot:
         robot.home()
         robot._stopped = False
@@ -384,7 +384,7 @@ def test_an_arm_that_is_paused_at_its_box_is_not_told_to_move(fake_xarm):
             robot.move_to(GOAL)
 
 
-def test_homing_does_not_go_on_with_what_was_paused(fake_xarm):
+def test_homing_discards_a_paused_move(fake_xarm):
     with xarm() as robot:
         robot.home()
         states = []
@@ -446,7 +446,7 @@ def wait_until(true):
 
 @contextmanager
 def silent_line(box, robot):
-    """A line that answers no more, and a thread that waits for an answer."""
+    """A line that no longer answers, and a thread that waits for an answer."""
     asked = len(box.received(GET_TCP_POSE))
     box.silent = True
     errors = []
@@ -459,7 +459,7 @@ def silent_line(box, robot):
 
     reader = threading.Thread(target=read)
     reader.start()
-    wait_until(lambda: len(box.received(GET_TCP_POSE)) > asked)  # it holds the library's lock now
+    wait_until(lambda: len(box.received(GET_TCP_POSE)) > asked)  # the library's lock is held now
     try:
         yield errors
     finally:
@@ -469,11 +469,11 @@ def silent_line(box, robot):
 
 
 def stop_in_time(box, robot):
-    """Stop, and see when the frame arrived."""
+    """Stop, and assert that the call returns in time; wait for the frame."""
     seen = len(box.received(SET_STATE, bytes([STOPPED])))
     called_s = time.monotonic()
     robot.stop()
-    assert_in_time(called_s, time.monotonic())  # the call itself waits for nobody
+    assert_in_time(called_s, time.monotonic())  # the call does not wait
     wait_until(lambda: len(box.received(SET_STATE, bytes([STOPPED]))) > seen)
     assert_in_time(called_s, box.received(SET_STATE, bytes([STOPPED]))[seen].time_s)
 
@@ -488,7 +488,7 @@ def test_a_stop_goes_out_while_another_thread_waits_on_a_silent_line(box):
                 stop_in_time(box, robot)
             assert not box.arm.is_moving()
         assert errors
-        robot.move_to(GOAL, speed_m_s=0.2)  # the line is back, and in step
+        robot.move_to(GOAL, speed_m_s=0.2)  # the line answers again, synchronised
         assert robot.pose().distance_m(GOAL) < 1e-6
 
 
@@ -512,7 +512,7 @@ def test_a_stop_goes_out_while_the_line_is_busy(box):
             reader.join()
 
 
-def test_another_thread_does_not_take_the_answer_to_a_stop_for_its_own(box):
+def test_another_thread_ignores_the_answer_to_a_stop(box):
     with homed() as robot:
         done = threading.Event()
         poses = []
@@ -532,23 +532,23 @@ def test_another_thread_does_not_take_the_answer_to_a_stop_for_its_own(box):
         assert {frame.transaction for frame in box.received(SET_STATE, bytes([STOPPED]))} > {0}
 
 
-def test_a_line_that_is_cut_fails_the_stop(box):
+def test_a_stop_on_a_cut_line_fails(box):
     with homed() as robot:
         robot._api._arm._stream.com.close()
         with pytest.raises(ConnectionLostError):
             robot.stop()
 
 
-def test_a_box_that_does_not_answer_is_given_up(box, monkeypatch):
+def test_connecting_to_a_silent_box_times_out(box, monkeypatch):
     monkeypatch.setattr("fingerpost.robot.xarm.OPEN_S", 0.3)
     box.silent = True
     with pytest.raises(RobotTimeoutError, match=r"within 0\.3 s"):
         Xarm("127.0.0.1").connect()
-    box.silent = False  # it goes on in the background, and closes what it has opened
+    box.silent = False  # the attempt continues in the background and closes its sockets
     wait_until(lambda: not any(thread.name == "xarm" for thread in threading.enumerate()))
 
 
-def test_the_library_leaves_the_sockets_of_others_alone(box):
+def test_the_library_does_not_affect_other_sockets(box):
     before_s = socket.getdefaulttimeout()
     with homed():
         assert socket.getdefaulttimeout() == before_s
@@ -556,9 +556,9 @@ def test_the_library_leaves_the_sockets_of_others_alone(box):
 
 @pytest.mark.filterwarnings(
     "ignore::pytest.PytestUnhandledThreadExceptionWarning"
-)  # of its threads
+)  # in its threads
 @pytest.mark.parametrize("seed", range(8))
-def test_garbage_on_the_line_is_never_an_untyped_error(box, seed):
+def test_garbage_on_the_line_is_a_typed_error(box, seed):
     rng = np.random.default_rng(seed)
 
     def garble(reply):
@@ -573,10 +573,10 @@ def test_garbage_on_the_line_is_never_an_untyped_error(box, seed):
         box.garble = None
 
 
-# Standard output is the program's.
+# Standard output belongs to the program.
 
 
-def test_nothing_of_the_library_reaches_standard_output(box, capfd):
+def test_no_output_of_the_library_reaches_standard_output(box, capfd):
     with homed() as robot:
         robot.move_to(GOAL, speed_m_s=0.2)
         robot.gripper("close")
@@ -593,7 +593,7 @@ def test_nothing_of_the_library_reaches_standard_output(box, capfd):
     assert capfd.readouterr().out == ""
 
 
-def test_a_program_that_has_imported_the_library_itself_is_not_disturbed_either(box, tmp_path):
+def test_no_output_reaches_a_program_that_has_imported_the_library_itself(box, tmp_path):
     program = """
         import sys
         sys.path.insert(0, {stand_ins!r})

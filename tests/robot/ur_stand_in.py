@@ -1,9 +1,9 @@
-"""A Universal Robots controller as seen through `ur_rtde`, whose three parts it stands in for.
+"""A stand-in for the three modules of `ur_rtde` and the Universal Robots controller behind them.
 
-`libraries` gives the parts for a test's own process; `serve` answers those in `stand_ins`, in a
-process of its own, which may be killed. What it does on its own is what the real one does: only a
-running control script takes commands; a protective stop pauses it; stopping the program at the
-pendant ends it; the watchdog ends it when nothing has been written for a period.
+`libraries` returns the modules' classes for the test's own process; `serve` answers those in
+`stand_ins`, in a subprocess that may be killed. The controller behaves like the real one: only a
+running control script accepts commands; a protective stop pauses it; stopping the program at the
+pendant ends it; the watchdog ends it if nothing is written for a period.
 """
 
 # ruff: noqa: ARG002, N802 - the vendor's names and parameters
@@ -20,11 +20,11 @@ from fake_arm import FakeArm
 from scipy.spatial.transform import Rotation
 
 TAKES_S = 0.002
-"""A command is taken in one cycle of an e-series."""
+"""Time to accept a command, one cycle of an e-series."""
 
 
 class Program(IntEnum):
-    """The states of a program that matter here, by the library's numbers."""
+    """The relevant states of a program, by the library's numbers."""
 
     STOPPED = 1
     PLAYING = 2
@@ -32,10 +32,10 @@ class Program(IntEnum):
 
 
 class UrController:
-    """One arm, its control script, and what can happen to them at the pendant."""
+    """One arm, its control script, and actions at the pendant."""
 
     def __init__(self, *, patience=1.0):
-        """A watchdog that waits `patience` periods leaves a crowded machine its time."""
+        """Create a controller whose watchdog waits `patience` periods, for loaded machines."""
         self.arm = FakeArm()
         self.patience = patience
         self.program = Program.STOPPED
@@ -58,7 +58,7 @@ class UrController:
 
     @property
     def protective(self):
-        """Whether it is in a protective stop."""
+        """Whether the arm is in a protective stop."""
         return self._protective
 
     @protective.setter
@@ -66,47 +66,47 @@ class UrController:
         if stopped:
             self._protective = True
             self.pause()
-        else:  # unlocked; what is paused may be resumed
+        else:  # unlocked; a paused program may be resumed
             self._protective = False
 
     def pause(self):
-        """Pause the program; it goes on from there when resumed."""
+        """Pause the program; `resume` continues the motion."""
         if self.program is Program.PLAYING:
             self.program = Program.PAUSED
             self._paused_goal = self.arm.goal
             self.arm.stop()
 
     def resume(self):
-        """Go on with a paused program."""
+        """Continue a paused program."""
         if self.program is Program.PAUSED:
             self.program = Program.PLAYING
             self.arm.go(self._paused_goal, self.arm.rotation, self.arm.speed)
 
     def stop_program(self, at_s=None):
-        """End the program, and with it all motion."""
+        """End the program and all motion."""
         self.program, self.watchdog_hz, self._paused_goal = Program.STOPPED, None, None
         self.arm.stop(at_s)
 
-    # What its parts do.
+    # Called by the modules.
 
     def look(self):
-        """Let the watchdog act, if its time has come."""
+        """End the program if the watchdog's period has expired."""
         if self.watchdog_hz is not None and self.program is Program.PLAYING:
             end_s = self._written_s + self.patience / self.watchdog_hz
             if time.monotonic() > end_s:
                 self.stop_program(end_s)
 
     def upload(self):
-        """Take a control script, which runs if it may."""
+        """Receive a control script, and run it if permitted."""
         self.uploads += 1
         if self.remote_control and self.starts and not (self._protective or self.emergency):
             self.stop_program()
             self.program = Program.PLAYING
 
     def takes(self):
-        """Take a command; false if nobody does."""
+        """Accept a command; return False if no script does."""
         if not self._writing.acquire(blocking=False):
-            self.overlaps += 1  # two would overwrite each other's registers
+            self.overlaps += 1  # simultaneous commands would overwrite each other's registers
             return False
         try:
             self.look()
@@ -120,7 +120,7 @@ class UrController:
 
 
 def libraries(controller):
-    """The vendor's modules' classes, by the modules' names."""
+    """Return the classes of the vendor's modules by module name."""
 
     class RTDEControlInterface:
         def __init__(self, hostname):
@@ -220,7 +220,7 @@ def libraries(controller):
 
 
 class _Lines(socketserver.ThreadingTCPServer):
-    """A server of lines on a free port of the loopback, in a thread."""
+    """A line-based server on a free loopback port, in a thread."""
 
     daemon_threads = True
 
@@ -233,7 +233,7 @@ class _Lines(socketserver.ThreadingTCPServer):
         return self.server_address[1]
 
     def finish_request(self, request, client_address):
-        request.settimeout(None)  # some libraries set one for the whole process
+        request.settimeout(None)  # some libraries set a time-out for the whole process
         answer = self.answering()
         with request.makefile("rwb") as text, contextlib.suppress(ConnectionError):
             for line in itertools.chain([answer(None)], map(answer, text)):
@@ -255,7 +255,7 @@ def _serving(answering):
 
 
 def dashboard(controller):
-    """Serve the controller's dashboard; gives its port."""
+    """Serve the controller's dashboard; yield its port."""
     answers = {
         b"is in remote control": lambda: b"true" if controller.remote_control else b"false",
         b"stop": lambda: controller.stop_program() or b"Stopped",
@@ -271,7 +271,7 @@ def dashboard(controller):
 
 
 def serve(controller):
-    """Serve the parts in `stand_ins` from here; gives the port."""
+    """Serve the modules in `stand_ins` from this process; yield the port."""
 
     def answering():
         parts = []

@@ -1,8 +1,8 @@
 """A UFACTORY control box on TCP ports of the loopback, for the vendor's own library.
 
-It speaks as much of the private Modbus TCP protocol as the driver's calls need: frames of a
-transaction number, a protocol number, a length, a function code and data, all big-endian but for
-numbers of 32 bits. A second port reports the arm's state ten times a second.
+It implements the part of the private Modbus TCP protocol that the driver uses: frames of a
+transaction number, a protocol number, a length, a function code and data, all big-endian except
+32-bit numbers. A second port reports the arm's state ten times per second.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ GET_VERSION, MOTION_EN, SET_STATE, GET_STATE, GET_CMDNUM, GET_ERROR = 1, 11, 12,
 CLEAN_ERR, CLEAN_WAR, SET_MODE, MOVE_LINE, GET_TCP_POSE = 16, 17, 19, 21, 41
 RS485_RTU, TGPIO_R16B = 124, 128
 BAUD_2M = 11
-"""What the tool's port says of its speed: the place of 2 Mbaud in the library's list."""
+"""Speed code of the tool's port: the index of 2 Mbaud in the library's list."""
 
 STATUS_REGISTER, ERROR_REGISTER, POSITION_REGISTER, TARGET_REGISTER = 0x0000, 0x000F, 0x0702, 0x0700
 VERSION_REGISTERS = {0x0801: 3, 0x0802: 4, 0x0803: 3}
@@ -37,7 +37,7 @@ READY, MOVING, SLEEPING, PAUSED, STOPPED = 0, 1, 2, 3, 4
 
 @dataclass
 class Gripper:
-    """A gripper that begins to move when it pleases, at a speed, as far as it can."""
+    """A gripper that moves after a delay, at a constant speed, up to an obstacle."""
 
     pulses: float = 850.0
     delay_s: float = 0.0
@@ -49,25 +49,25 @@ class Gripper:
     _began_s: float = field(default_factory=time.monotonic)
 
     def go(self, goal):
-        """Go to a position."""
+        """Start to move to a position."""
         self._from = self.position()
         self._goal = self._from if self.stuck else max(float(goal), min(self.obstacle, self._from))
         self._began_s = time.monotonic() + self.delay_s
 
     def position(self):
-        """Where it is."""
+        """Return the position."""
         gone = self.speed * max(0.0, time.monotonic() - self._began_s)
         way = self._goal - self._from
         return self._goal if gone >= abs(way) else self._from + math.copysign(gone, way)
 
     def is_moving(self):
-        """Whether it is on its way, or about to be."""
+        """Return whether it moves or is about to move."""
         return self.position() != self._goal
 
 
 @dataclass
 class Frame:
-    """A request that has arrived."""
+    """A received request."""
 
     time_s: float
     transaction: int
@@ -110,7 +110,7 @@ class ControlBox:
 
     @property
     def ports(self):
-        """Of control and of reports."""
+        """The ports of control and of reports."""
         return tuple(server.server_address[1] for server, _ in self._servers)
 
     def hang_up(self):
@@ -121,7 +121,7 @@ class ControlBox:
         self._lines = []
 
     def received(self, function, data=None):
-        """The requests of a kind so far."""
+        """Return the received requests of a kind."""
         return [
             frame
             for frame in list(self.frames)
@@ -194,7 +194,7 @@ class ControlBox:
             self.arm.go(np.array(values[:3]) / 1000.0, rotation, values[6] / 1000.0)
 
     def _tool(self, request):
-        """What the gripper answers on the tool's bus."""
+        """Return the gripper's answer on the tool's bus."""
         kind, register, count = struct.unpack(">BHH", request[:5])
         if kind == WRITE:
             if register == TARGET_REGISTER:
@@ -224,7 +224,7 @@ class ControlBox:
 def _handler(handle):
     class Handler(socketserver.BaseRequestHandler):
         def handle(self):
-            self.request.settimeout(None)  # the library sets one for all sockets of its process
+            self.request.settimeout(None)  # the library sets one for its whole process
             self.request.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             with contextlib.suppress(OSError):
                 handle(self.request)

@@ -1,7 +1,7 @@
-//! What can be wrong with the input of this crate. Every variant carries the offending value and
-//! its message says what would be right. A lost hand is not an error but a status of the tracker.
+//! Errors in the input of this crate. Every variant carries the offending value, and its message
+//! states the values that are accepted. A lost hand is not an error but a status of the tracker.
 
-/// The result of everything here that can refuse its input.
+/// Result of a function that can refuse its input.
 pub type Result<T> = std::result::Result<T, Error>;
 
 /// Input that this crate refuses.
@@ -25,12 +25,12 @@ pub enum Error {
         /// The range that would be right, in words.
         right: &'static str,
     },
-    /// A shape vector does not fit the template: this shape space needs what the template lacks.
+    /// The template lacks a requirement of an operation or model.
     #[error("{what} needs {needs}")]
     Unsupported {
-        /// What was asked for.
+        /// The operation or model.
         what: &'static str,
-        /// What it needs and did not get.
+        /// Its requirement.
         needs: &'static str,
     },
     /// A covariance that leaves some combination of its components without a variance.
@@ -102,24 +102,24 @@ pub enum Error {
         /// Width and height of the background in px.
         background: (usize, usize),
     },
-    /// A sequence is shorter than what it is for needs.
+    /// A sequence is too short for its purpose.
     #[error("{given} {what}; at least {needed} are needed")]
     TooFew {
-        /// What is counted.
+        /// The counted things.
         what: &'static str,
-        /// How many there are.
+        /// Their number.
         given: usize,
-        /// The least number that would do.
+        /// The least number that is accepted.
         needed: usize,
     },
     /// A sequence does not match another one in length.
     #[error("{given} {what}; exactly {needed} are needed")]
     WrongCount {
-        /// What is counted.
+        /// The counted things.
         what: &'static str,
-        /// How many there are.
+        /// Their number.
         given: usize,
-        /// How many there must be.
+        /// The required number.
         needed: usize,
     },
     /// One of several values that have to be finite is not.
@@ -175,7 +175,7 @@ pub enum Error {
         /// The greatest distance.
         greatest: f64,
     },
-    /// Knots between which no curve is left.
+    /// Knots that leave the curve no domain.
     #[error("the knots leave the domain [{start}, {end}]; it must have an inside")]
     EmptyDomain {
         /// The domain's start.
@@ -221,7 +221,7 @@ impl Error {
         if value.is_finite() { Ok(value) } else { Err(Self::NotFinite { what, value }) }
     }
 
-    /// `value`, or the error that `accepts` says no to it.
+    /// `value`, or the error that `accepts` rejects it.
     pub(crate) fn within(
         what: &'static str,
         value: f64,

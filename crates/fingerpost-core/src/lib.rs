@@ -2,8 +2,8 @@
 //!
 //! # Names
 //!
-//! What an embedder needs stands here, at the root. The modules in which it is implemented are no
-//! part of the interface: they change without notice.
+//! All names for embedding the crate are at its root. The modules that implement them are not part
+//! of the interface and change without notice.
 //!
 //! | for | names |
 //! |---|---|
@@ -11,7 +11,7 @@
 //! | one hand in one view | [`ContourTracker`] of a [`Template`] at a [`StartPose`]; a [`Track`] for every frame, with its [`Status`] and [`FingerLine`] |
 //! | several views at once | [`update_views`], one [`ViewUpdate`] each |
 //! | a hand that may be anywhere | [`HandFinder`], whose [`Candidate`]s are start poses of [`ContourTracker::at_hand`] |
-//! | a camera that keeps still | [`Background`], for [`ContourTracker::update_before`] |
+//! | a static camera | [`Background`], for [`ContourTracker::update_before`] |
 //! | the parts | [`BSpline`], [`sample_contour`], [`EdgeSearch`], [`ShapeSpace`], [`Fitter`] |
 //!
 //! Every options struct has a `Default`; unit and range stand beside each field.
@@ -65,7 +65,7 @@ pub use track::{
     TrackOptions, TrackerOptions,
 };
 
-// A hand that may be anywhere, and what is behind it.
+// Detection of hands, and the background.
 #[doc(inline)]
 pub use appearance::background::Background;
 #[doc(inline)]

@@ -1,4 +1,4 @@
-//! Arrays of numbers, in and out. What comes in is copied: contours and shape vectors are small.
+//! Arrays of numbers, in and out. Arguments are copied: contours and shape vectors are small.
 //! (Images are not copied; see `image`.)
 
 use crate::errors::InvalidInputError;
@@ -13,8 +13,8 @@ use pyo3::prelude::*;
 /// Kinds of dtype that are real numbers: integers, unsigned integers, floats.
 const REAL_KINDS: &[u8] = b"iuf";
 
-/// Offsets along a normal are in pixels if its length is 1: they err by this part of themselves.
-const UNIT_TOLERANCE: f64 = 1e-6;
+/// Tolerance of the length of a unit vector, and so the relative error of offsets along it.
+pub const UNIT_TOLERANCE: f64 = 1e-6;
 
 /// The numbers of an array-like of shape (N,).
 pub fn vector(value: &Bound<'_, PyAny>, what: &str) -> PyResult<Vec<f64>> {
@@ -56,7 +56,7 @@ pub fn unit_vectors(value: &Bound<'_, PyAny>, what: &str) -> PyResult<Vec<Vector
     }
 }
 
-/// Refuses two sequences that belong together and are not of one length.
+/// Refuses a sequence whose length is not that of the sequence it belongs to.
 pub fn same_length(what: &str, given: usize, whose: &str, needed: usize) -> PyResult<()> {
     if given == needed {
         return Ok(());
@@ -71,7 +71,7 @@ pub fn point(value: &Bound<'_, PyAny>, what: &str) -> PyResult<Point2<f64>> {
     matrix::<2, 1>(value, what, "(2,)").map(Point2::from)
 }
 
-/// An array-like of shape (R, C); of shape (R,) if C is 1. `shape` says so in errors.
+/// An array-like of shape (R, C), or (R,) if C is 1. `shape` names the shape in errors.
 pub fn matrix<const R: usize, const C: usize>(
     value: &Bound<'_, PyAny>,
     what: &str,
@@ -95,8 +95,7 @@ fn reals(value: &Bound<'_, PyAny>, what: &str) -> PyResult<(Vec<f64>, Vec<usize>
     }
     let py = value.py();
     let numpy = py.import("numpy")?;
-    // Names that are made anew for every call would stay, each, in the cache that Python finds
-    // methods with.
+    // Interned: Python's method cache would keep the name of every call.
     let array = numpy.call_method1(intern!(py, "asarray"), (value,)).map_err(|error| {
         let given = value.get_type();
         InvalidInputError::new_err(format!(
@@ -110,7 +109,7 @@ fn reals(value: &Bound<'_, PyAny>, what: &str) -> PyResult<(Vec<f64>, Vec<usize>
             "{what} has the dtype {dtype}; it must be an array of real numbers"
         )));
     }
-    // Whatever its strides and byte order were: "C" contiguous and "A"ligned.
+    // Whatever its strides and byte order are: "C" contiguous and "A"ligned.
     let array = numpy.call_method1(intern!(py, "require"), (array, "float64", ["C", "A"]))?;
     contents(&array.extract()?)
 }
@@ -124,7 +123,7 @@ fn wrong_shape(what: &str, given: &[usize], needed: &str) -> PyErr {
     InvalidInputError::new_err(format!("{what} has the shape {given}; it must be {needed}"))
 }
 
-/// Numbers as Python writes a tuple of them.
+/// Numbers in Python's notation of a tuple.
 pub fn as_tuple<T: ToString>(numbers: &[T]) -> String {
     let numbers: Vec<_> = numbers.iter().map(ToString::to_string).collect();
     let comma = if numbers.len() == 1 { "," } else { "" };

@@ -35,7 +35,7 @@ fn part(value: &Bound<'_, PyAny>, what: &str) -> PyResult<KeepOut> {
     })
 }
 
-/// What a camera that keeps still sees when no hand is there.
+/// Background model of a static camera.
 #[pyclass(name = "Background", module = "fingerpost._core")]
 pub struct PyBackground(pub Background);
 
@@ -47,7 +47,7 @@ impl PyBackground {
         Background::new(self::options(options)?).map(Self).map_err(invalid_input)
     }
 
-    /// Takes one frame.
+    /// Processes one frame.
     #[pyo3(signature = (image, colour = None, *, keep_out = None))]
     fn observe(
         slf: &Bound<'_, Self>,
@@ -64,7 +64,7 @@ impl PyBackground {
         py.detach(|| background.observe(&frame, keep_out.as_ref())).map_err(invalid_input)
     }
 
-    /// Looks at a frame without learning from it.
+    /// Processes a frame without learning from it.
     #[pyo3(signature = (image, colour = None))]
     fn look(
         slf: &Bound<'_, Self>,
@@ -80,7 +80,7 @@ impl PyBackground {
         Ok(())
     }
 
-    /// Learns from the frame that was looked at last.
+    /// Learns from the frame that `look` processed last.
     #[pyo3(signature = (image, colour = None, *, keep_out = None))]
     fn learn(
         slf: &Bound<'_, Self>,
@@ -97,45 +97,45 @@ impl PyBackground {
         py.detach(|| background.learn(&frame, keep_out.as_ref())).map_err(invalid_input)
     }
 
-    /// Forgets a part of the image.
+    /// Discards the observations of a region.
     fn forget(slf: &Bound<'_, Self>, part: &Bound<'_, PyAny>) -> PyResult<()> {
         let part = self::part(part, "part")?;
         let mut this = slf.try_borrow_mut().map_err(|_| in_use("Background"))?;
         this.0.forget(&part).map_err(invalid_input)
     }
 
-    /// Forgets everything.
+    /// Discards all observations.
     fn clear(slf: &Bound<'_, Self>) -> PyResult<()> {
         slf.try_borrow_mut().map_err(|_| in_use("Background"))?.0.clear();
         Ok(())
     }
 
-    /// Whether it tells the foreground.
+    /// Whether it was observed long enough to separate the foreground.
     #[getter]
     fn is_known(slf: &Bound<'_, Self>) -> PyResult<bool> {
         Ok(Self::at_rest(slf)?.0.is_known())
     }
 
-    /// Whether it is known and its edges are where the last frame shows them.
+    /// Whether it is known and not displaced in the last frame.
     #[getter]
     fn is_exact(slf: &Bound<'_, Self>) -> PyResult<bool> {
         Ok(Self::at_rest(slf)?.0.is_exact())
     }
 
-    /// How far the last frame shows it from where it was learned.
+    /// Displacement of the last frame from the background.
     #[getter]
     fn shift_px(slf: &Bound<'_, Self>) -> PyResult<Option<(f64, f64)>> {
         Ok(Self::at_rest(slf)?.0.shift_px().map(|shift| (shift.x, shift.y)))
     }
 
-    /// Gain and offset of the light.
+    /// Gain and offset of the last frame's light.
     #[getter]
     fn light(slf: &Bound<'_, Self>) -> PyResult<(f64, f64)> {
         let light = Self::at_rest(slf)?.0.light();
         Ok((light.gain, light.offset_grey))
     }
 
-    /// Part of the informative pixels that have changed.
+    /// Changed fraction of the pixels that would show a motion of the camera.
     #[getter]
     fn changed_share(slf: &Bound<'_, Self>) -> PyResult<f64> {
         Ok(Self::at_rest(slf)?.0.changed_share())
@@ -147,7 +147,7 @@ impl PyBackground {
         Self::at_rest(slf)?.0.options().entry(py)
     }
 
-    /// The grey levels to expect at some places, and how uncertain they are.
+    /// Expected grey levels at some positions, and their standard deviations.
     fn expected(
         slf: &Bound<'_, Self>,
         py: Python<'_>,
@@ -162,7 +162,7 @@ impl PyBackground {
         table(py, expected)
     }
 
-    /// How likely some places show something before the background.
+    /// Foreground probability at some positions of a frame.
     #[pyo3(signature = (image, position_px, colour = None))]
     fn foreground(
         slf: &Bound<'_, Self>,
@@ -179,7 +179,7 @@ impl PyBackground {
         Ok(column(py, positions.iter().map(|p| likelihood(p).unwrap_or(f64::NAN))))
     }
 
-    /// How like foreground a frame is.
+    /// Foreground probability of every second pixel of every second row.
     #[pyo3(signature = (image, colour = None))]
     fn foreground_map(
         slf: &Bound<'_, Self>,
@@ -207,7 +207,7 @@ impl PyBackground {
 }
 
 impl PyBackground {
-    /// The background, unless it is changed in another thread.
+    /// The background, unless another thread is changing it.
     pub fn at_rest<'py>(slf: &Bound<'py, Self>) -> PyResult<PyRef<'py, Self>> {
         slf.try_borrow().map_err(|_| in_use("Background"))
     }

@@ -1,4 +1,4 @@
-//! `fingerpost._core.BSpline` and what it computes.
+//! `fingerpost._core.BSpline` and its results.
 
 use crate::arrays::{column, flat_table, points, table, vector};
 use crate::errors::{InvalidInputError, invalid_input, wrong};
@@ -7,7 +7,7 @@ use fingerpost_core::geometry::bspline::{ArcLength, BSpline, BasisRow, Degree, P
 use numpy::{PyArray1, PyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-/// The numbers that a least-squares fit may hold: outline points times control points.
+/// Maximum size of a least-squares fit: outline points times control points.
 const MAX_FIT_NUMBERS: usize = 1 << 24;
 
 /// A B-spline basis: degree, knots, open or closed.
@@ -64,19 +64,19 @@ impl PyBSpline {
         self.0.degree() as usize
     }
 
-    /// Whether the curve ends where it starts.
+    /// Whether the curve is closed.
     #[getter]
     fn is_closed(&self) -> bool {
         self.0.is_closed()
     }
 
-    /// Control points that the curve needs.
+    /// Number of control points of the curve.
     #[getter]
     fn control_point_count(&self) -> usize {
         self.0.control_point_count()
     }
 
-    /// The knots, as `open` or `closed` takes them.
+    /// The knots in the form taken by `open` or `closed`.
     #[getter]
     fn knots(&self, py: Python<'_>) -> Py<PyArray1<f64>> {
         column(py, self.0.knots().iter().copied())
@@ -88,7 +88,7 @@ impl PyBSpline {
         self.0.domain()
     }
 
-    /// The basis functions that are not zero at each parameter.
+    /// The non-zero basis functions at each parameter.
     fn basis(&self, py: Python<'_>, parameters: &Bound<'_, PyAny>) -> PyResult<PyBasisRows> {
         let parameters = vector(parameters, "parameters")?;
         let rows = py
@@ -117,7 +117,7 @@ impl PyBSpline {
         })
     }
 
-    /// The control points with which the curve comes closest to an ordered outline.
+    /// Fits control points to an ordered outline by linear least squares.
     fn fit(
         &self,
         py: Python<'_>,
@@ -171,10 +171,10 @@ impl PyBSpline {
     }
 }
 
-/// The weights of the control points at some parameters of a B-spline.
+/// The non-zero basis functions at some parameters of a B-spline.
 #[pyclass(name = "BasisRows", module = "fingerpost._core", frozen, get_all)]
 pub struct PyBasisRows {
-    /// The control points that act there.
+    /// Indices of the control points that act there.
     indices: Py<PyArray2<i64>>,
     /// Their weights.
     values: Py<PyArray2<f64>>,
@@ -211,11 +211,11 @@ impl PyBasisRows {
 /// Points of a curve with their derivatives by the parameter.
 #[pyclass(name = "CurvePoints", module = "fingerpost._core", frozen, get_all)]
 pub struct PyCurvePoints {
-    /// Where the curve is.
+    /// Positions.
     position: Py<PyArray2<f64>>,
-    /// Along the tangent, in the direction of growing parameter.
+    /// Along the tangent, in the direction of increasing parameter.
     first_derivative: Py<PyArray2<f64>>,
-    /// Its component across the tangent bends the curve.
+    /// The component across the tangent determines the curvature.
     second_derivative: Py<PyArray2<f64>>,
 }
 
@@ -226,18 +226,18 @@ impl PyCurvePoints {
     }
 }
 
-/// A least-squares fit of a B-spline and how good it is.
+/// A least-squares fit of a B-spline and its quality.
 #[pyclass(name = "SplineFit", module = "fingerpost._core", frozen, get_all)]
 pub struct PySplineFit {
     /// The control points of the fitted curve.
     control_points: Py<PyArray2<f64>>,
     /// The parameter of every outline point.
     parameters: Py<PyArray1<f64>>,
-    /// Root mean square of the distances.
+    /// Root mean square distance between outline points and the curve.
     rms_residual: f64,
-    /// The largest distance.
+    /// The largest of these distances.
     max_residual: f64,
-    /// The condition number of the system.
+    /// Condition number of the system.
     condition: f64,
 }
 
@@ -280,7 +280,7 @@ impl PyArcLength {
         Ok(column(py, parameters.map_err(invalid_input)?))
     }
 
-    /// Parameters at equal arc length from one to the next.
+    /// Parameters at equal steps of arc length.
     fn equally_spaced(
         &self,
         py: Python<'_>,

@@ -1,4 +1,4 @@
-//! `fingerpost._core.HandFinder` and the candidates that it finds.
+//! `fingerpost._core.HandFinder` and its candidates.
 
 use crate::arrays::point;
 use crate::background::PyBackground;
@@ -14,7 +14,7 @@ use pyo3::prelude::*;
 
 overlay_fields!(FinderOptions { min_half_width, max_half_width, min_gradient_grey, candidates });
 
-/// Finds where a pointing hand may be.
+/// Detects candidates for pointing hands in an image.
 #[pyclass(name = "HandFinder", module = "fingerpost._core")]
 pub struct PyHandFinder(HandFinder);
 
@@ -26,7 +26,7 @@ impl PyHandFinder {
         HandFinder::new(self::options(options)?).map(Self).map_err(invalid_input)
     }
 
-    /// The candidates in a frame.
+    /// Finds the candidates in a frame, the most likely first.
     #[pyo3(signature = (image, colour = None, *, background = None))]
     fn find(
         slf: &Bound<'_, Self>,
@@ -44,7 +44,7 @@ impl PyHandFinder {
         Ok(py.detach(|| finder.find(&frame, background).iter().map(|&c| PyCandidate(c)).collect()))
     }
 
-    /// How like a finger the inside of a band is.
+    /// Likeness of a band to a finger by the contrast with its surroundings.
     #[staticmethod]
     #[pyo3(signature = (image, tip_px, angle_rad, half_width_px, colour = None))]
     fn likeness(
@@ -71,13 +71,13 @@ impl PyHandFinder {
     }
 }
 
-/// A place where a pointing hand may be.
+/// A possible pointing hand.
 #[pyclass(name = "Candidate", module = "fingerpost._core", frozen)]
 pub struct PyCandidate(Candidate);
 
 #[pymethods]
 impl PyCandidate {
-    /// Where a template would wait for it.
+    /// The start pose of a template for it.
     #[getter]
     fn start(&self) -> PyResult<PyStartPose> {
         let Candidate { tip_px, angle_rad, length_px, .. } = self.0;
@@ -90,7 +90,7 @@ impl PyCandidate {
         self.0.half_width_px
     }
 
-    /// Side of what may be its thumb.
+    /// Side of a second band that may be its thumb.
     #[getter]
     fn thumb(&self) -> &'static str {
         self.0.thumb.word()
@@ -102,13 +102,13 @@ impl PyCandidate {
         self.0.colour.into()
     }
 
-    /// How like foreground its inside is.
+    /// Mean foreground probability of its inside.
     #[getter]
     fn foreground(&self) -> f64 {
         self.0.foreground
     }
 
-    /// How like a finger it is.
+    /// Likeness to a finger by shape and colours alone.
     #[getter]
     fn score(&self) -> f64 {
         self.0.score

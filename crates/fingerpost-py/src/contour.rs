@@ -16,7 +16,7 @@ pub struct PyContourSamples {
     parameter: Py<PyArray1<f64>>,
     /// Length of the curve from its start.
     arc_length: Py<PyArray1<f64>>,
-    /// Where the samples lie.
+    /// Positions of the samples.
     position: Py<PyArray2<f64>>,
     /// Unit tangents in the direction of travel.
     tangent: Py<PyArray2<f64>>,
@@ -31,7 +31,7 @@ impl PyContourSamples {
     }
 }
 
-/// Points at equal steps of arc length along a curve, with tangents and outward normals.
+/// Samples a curve at equal steps of arc length, with tangents and outward normals.
 #[pyfunction]
 pub fn sample_contour(
     py: Python<'_>,

@@ -1,4 +1,4 @@
-//! One tree of exceptions: what cannot be used becomes `fingerpost.errors.InvalidInputError`.
+//! One tree of exceptions: invalid input raises `fingerpost.errors.InvalidInputError`.
 
 use fingerpost_core::Error;
 use pyo3::prelude::*;
@@ -18,7 +18,7 @@ pub fn wrong(what: &str, value: &Bound<'_, PyAny>, right: &str) -> PyErr {
     InvalidInputError::new_err(format!("{what} is {given}; it must be {right}"))
 }
 
-/// The error that an object which changes as it works is at work in another thread.
+/// The error that a mutable object is in use in another thread.
 pub fn in_use(what: &str) -> PyErr {
     FingerpostError::new_err(format!(
         "this {what} is in use in another thread; each thread needs one of its own, or a lock"

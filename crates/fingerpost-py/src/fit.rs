@@ -1,4 +1,4 @@
-//! `fingerpost._core.Fitter`: the number of unknowns is a constant in the core and a number here.
+//! `fingerpost._core.Fitter`: dispatches the number of unknowns to a constant of the core.
 
 use crate::arrays::{column, flat_table, matrix, rows, same_length, vector};
 use crate::errors::{InvalidInputError, invalid_input, wrong};
@@ -34,11 +34,11 @@ impl Overlay for Loss {
     }
 }
 
-/// A matrix computed in floating point may miss symmetry or a zero eigenvalue by this part of its
-/// largest entry.
+/// Tolerance of the symmetry and of the least eigenvalue of a prior's information, relative to its
+/// largest entry: rounding errors of the caller's computation.
 const ROUNDING: f64 = 1e-9;
 
-/// `$body`, with `$D` as the constant that `$unknowns` is.
+/// `$body`, with the value of `$unknowns` as the constant `$D`.
 macro_rules! with_unknowns {
     ($unknowns:expr, $D:ident => $body:expr, else $other:expr) => {
         with_unknowns!(@ $unknowns, $D, $body, $other, 1 2 3 4 5 6 7 8 9)
@@ -72,7 +72,7 @@ impl PyFitter {
         self.0.options().entry(py)
     }
 
-    /// The step that the equations, and the prior if there is one, agree on.
+    /// Finds the step that minimises the robust loss of the equations and the prior.
     #[pyo3(signature = (rows, offset_px, variance_px2, *, prior = None))]
     fn solve(
         &self,
@@ -90,7 +90,8 @@ impl PyFitter {
             same_length("offset_px", offsets_px.len(), "rows", equations)?;
             same_length("variance_px2", variances_px2.len(), "rows", equations)?;
             let prior = prior.map(self::prior::<D>).transpose()?;
-            // Its buffers are a few kilobytes: with its own, every thread may solve.
+            // A copy for each call, so that several threads may solve at once; its buffers are a
+            // few kilobytes.
             let mut fitter = self.0.clone();
             let report = py.detach(|| {
                 let mut buffer = EquationBuffer::with_capacity(equations, D);
@@ -112,7 +113,7 @@ impl PyFitter {
     }
 }
 
-/// A pair of mean and information, checked.
+/// Mean and information of a prior, checked.
 fn prior<const D: usize>(given: &Bound<'_, PyAny>) -> PyResult<Prior<D>> {
     let (mean, information) = given
         .extract::<(Bound<'_, PyAny>, Bound<'_, PyAny>)>()
@@ -135,7 +136,7 @@ fn prior<const D: usize>(given: &Bound<'_, PyAny>) -> PyResult<Prior<D>> {
     Ok(Prior { mean, information })
 }
 
-/// What a fit found, and how well.
+/// The result of a fit and its quality.
 #[pyclass(name = "FitReport", module = "fingerpost._core", frozen, get_all)]
 pub struct PyFitReport {
     /// Whether the step is determined.
@@ -146,13 +147,13 @@ pub struct PyFitReport {
     covariance: Option<Py<PyArray2<f64>>>,
     /// Weighted sum of the equations' information, plus the prior's.
     information: Py<PyArray2<f64>>,
-    /// Directions that the information determines.
+    /// Number of directions of the shape space that the information determines.
     rank: usize,
-    /// Solutions until the weights settled.
+    /// Number of solutions until the weights converged.
     iterations: usize,
-    /// Equations given.
+    /// Number of equations.
     equations: usize,
-    /// Equations with more than a tenth of their full weight.
+    /// Number of equations with more than a tenth of their full weight.
     inliers: usize,
     /// Root mean square of the inliers' residual offsets.
     residual_rms_px: f64,

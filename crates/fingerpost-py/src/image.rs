@@ -1,5 +1,5 @@
-//! Frames from NumPy, borrowed where they lie: nothing is copied, but that a colour image alone gets
-//! its grey levels.
+//! Frames from NumPy, borrowed without a copy. For a colour image without grey levels, these are
+//! computed.
 
 use crate::arrays::as_tuple;
 use crate::errors::{InvalidInputError, invalid_input};
@@ -15,16 +15,15 @@ pub struct FrameArrays<'py> {
 }
 
 impl<'py> FrameArrays<'py> {
-    /// The arrays, or an `InvalidInputError` that says what was given and what is needed.
+    /// The arrays, or an `InvalidInputError` that states the given array and the needed one.
     pub fn new(image: &Bound<'py, PyAny>, colour: Option<&Bound<'py, PyAny>>) -> PyResult<Self> {
         let gray = Gray::Given(PixelArray::new("image", image, Pixel::Gray)?);
         let colour = colour.map(|c| PixelArray::new("colour", c, Pixel::Colour)).transpose()?;
         Ok(Self { gray, colour })
     }
 
-    /// The same of an image that may be in colour and has no grey levels beside it.
-    ///
-    /// One whose channels do not differ, as a monochrome camera's, counts as grey.
+    /// The arrays of a single image, grey or in colour. An image whose channels do not differ, as
+    /// that of a monochrome camera, counts as grey.
     pub fn alone(image: &Bound<'py, PyAny>) -> PyResult<Self> {
         if PixelArray::fits(image, Pixel::Gray) {
             return Self::new(image, None);
@@ -42,7 +41,7 @@ impl<'py> FrameArrays<'py> {
         self.gray.levels().map_err(invalid_input)
     }
 
-    /// The frame as the core sees it.
+    /// The frame in the form that the core takes.
     pub fn frame(&self) -> PyResult<Frame<'_>> {
         let gray = self.levels()?;
         let Some(colour) = &self.colour else { return Ok(Frame::gray(gray)) };
@@ -50,7 +49,7 @@ impl<'py> FrameArrays<'py> {
     }
 }
 
-/// Grey levels: the caller's, or made of his colours.
+/// Grey levels, given or computed from colours.
 enum Gray<'py> {
     Given(PixelArray<'py>),
     Made { levels: Vec<u8>, width: usize, height: usize },
@@ -68,17 +67,17 @@ impl Gray<'_> {
     }
 }
 
-/// What one pixel is made of.
+/// The form of one pixel.
 #[derive(Clone, Copy)]
 enum Pixel {
     Gray,
     Colour,
-    /// A colour, where a grey level would do as well.
+    /// A colour, where a grey level is accepted too.
     Either,
 }
 
 impl Pixel {
-    /// The axes of an array of such pixels, in words.
+    /// Description of an array of such pixels.
     fn axes(self) -> &'static str {
         match self {
             Self::Gray => "a 2-D uint8 array (height, width)",
@@ -87,7 +86,7 @@ impl Pixel {
         }
     }
 
-    /// Whether these are the axes of an array of such pixels.
+    /// Whether this is the shape of an array of such pixels.
     fn fit(self, shape: &[usize]) -> bool {
         match self {
             Self::Gray => shape.len() == 2,
@@ -109,7 +108,7 @@ struct PixelArray<'py> {
     layout: Layout,
 }
 
-/// How the pixels of an image lie in memory.
+/// Memory layout of an image.
 #[derive(Clone, Copy)]
 struct Layout {
     /// Pixels in a row.
@@ -137,7 +136,7 @@ impl<'py> PixelArray<'py> {
         Ok(Self { array, layout })
     }
 
-    /// Whether an image is an array of such pixels, however they lie.
+    /// Whether an image is an array of such pixels, whatever its strides.
     fn fits(image: &Bound<'py, PyAny>, pixel: Pixel) -> bool {
         let array = image.extract::<PyReadonlyArrayDyn<'py, u8>>();
         array.is_ok_and(|array| pixel.fit(array.shape()))
@@ -154,18 +153,18 @@ impl<'py> PixelArray<'py> {
         if self.layout.bytes == 0 {
             return &[];
         }
-        // SAFETY: `new` saw that the elements are single bytes, and `Layout::of` that all strides
-        // lead forward; so the first pixel has the lowest address and the last pixel's last byte is
-        // `layout.bytes` − 1 further, which does not overflow. NumPy keeps everything between two
-        // elements of an array in one allocation, initialised as far as bytes go. (An array that
-        // `as_strided` makes point elsewhere is unsound for NumPy itself.) `self.array` holds a
-        // counted reference to the array, so that the memory outlives the slice.
-        // Nobody may write to it meanwhile. `self.array` is a shared borrow, which keeps Rust code
-        // that borrows NumPy arrays from writing to these pixels (the bytes between two rows may be
-        // another view's, but nobody looks at them). Python code in another thread could write; no
-        // Rust binding to NumPy can prevent that, and the documentation of the module forbids it.
-        // What it would spoil is this frame: any byte is a valid pixel, and the core checks every
-        // index.
+        // SAFETY: `new` checked that the elements are single bytes, and `Layout::of` that all
+        // strides lead forward; so the first pixel has the lowest address and the last pixel's last
+        // byte is `layout.bytes` − 1 further, which does not overflow. NumPy keeps everything
+        // between two elements of an array in one allocation, initialised as far as bytes go. (An
+        // array that `as_strided` makes point elsewhere is unsound for NumPy itself.) `self.array`
+        // holds a counted reference to the array, so that the memory outlives the slice.
+        // The memory must not be written to meanwhile. `self.array` is a shared borrow, which keeps
+        // Rust code that borrows NumPy arrays from writing to these pixels (the bytes between two
+        // rows may belong to another view, but are never read). Python code in another thread could
+        // write; no Rust binding to NumPy can prevent that, and the documentation of the module
+        // forbids it. It would corrupt this frame only: any byte is a valid pixel, and the core
+        // checks every index.
         #[expect(unsafe_code, reason = "rows with gaps have no safe slice; see SAFETY")]
         unsafe {
             std::slice::from_raw_parts(self.array.data(), self.layout.bytes)
@@ -174,9 +173,9 @@ impl<'py> PixelArray<'py> {
 }
 
 impl Layout {
-    /// The layout, if the bytes of a row lie side by side and each row begins at or after the end
-    /// of the one before. (An axis with at most one entry leads nowhere, and none does in an array
-    /// without entries: those strides may be anything.) The shape fits the pixel.
+    /// The layout, if the bytes of a row are contiguous and each row begins at or after the end of
+    /// the one before. (The stride of an axis with at most one entry may be anything, and so may
+    /// all strides of an empty array.) The shape fits the pixel.
     fn of(shape: &[usize], strides: &[isize], pixel: Pixel) -> Option<Self> {
         let (height, width) = (shape[0], shape[1]);
         let row = width.checked_mul(pixel.bytes())?;

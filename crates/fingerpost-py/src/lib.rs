@@ -1,5 +1,5 @@
 //! The extension module `fingerpost._core`: converts arguments, releases the GIL, calls
-//! `fingerpost-core`, maps errors. Nothing else; `python/fingerpost/_core.pyi` documents it.
+//! `fingerpost-core`, maps errors. `python/fingerpost/_core.pyi` is its reference.
 
 mod arrays;
 mod background;
@@ -23,12 +23,12 @@ mod words;
 
 use pyo3::prelude::*;
 
-/// The stages of the tracker, in Rust.
-// Free-threaded Python gets its GIL back when it imports this module. Nothing here relies on the
-// GIL to protect Rust's data: every class is frozen or behind a borrow flag. But arrays are copied
-// on the way in as if nobody wrote to them meanwhile, which only the GIL assures; the wheel is
-// abi3, which free-threaded interpreters do not load (abi3t comes with 3.15); and no test runs on
-// one. The loss is small: whatever takes longer than a conversion detaches.
+/// The stages of the contour tracker.
+// A free-threaded interpreter enables the GIL when it imports this module, for three reasons.
+// Arrays are copied on the way in, and only the GIL prevents writes to them meanwhile. The wheel is
+// abi3, which free-threaded interpreters do not load (abi3t comes with 3.15). No test runs on one.
+// Rust's data do not depend on the GIL: every class is frozen or behind a borrow flag. The loss is
+// small, because every call that takes longer than a conversion detaches.
 #[pymodule(gil_used = true)]
 mod _core {
     #[pymodule_export]

@@ -1,14 +1,14 @@
-//! Numbers from Python: checked where they enter, named in the errors.
+//! Numbers from Python, checked where they enter and named in the errors.
 
 use crate::errors::{InvalidInputError, wrong};
 use pyo3::prelude::*;
 use pyo3::types::PyBool;
 
-/// The most of anything that one call makes: far more than a contour has any use for, and still an
-/// array that fits into memory.
+/// Maximum number of items that one call makes: far above any use for a contour, but an array of
+/// them still fits into memory.
 pub const MAX_COUNT: usize = 1 << 20;
 
-/// A real number, finite or not: the core says which it needs.
+/// A real number, finite or not; the core checks whether it must be finite.
 pub fn real(value: &Bound<'_, PyAny>, what: &str) -> PyResult<f64> {
     match value.extract() {
         Ok(number) if !value.is_instance_of::<PyBool>() => Ok(number),
@@ -16,7 +16,7 @@ pub fn real(value: &Bound<'_, PyAny>, what: &str) -> PyResult<f64> {
     }
 }
 
-/// A whole number, not negative.
+/// A non-negative integer.
 pub fn whole(value: &Bound<'_, PyAny>, what: &str) -> PyResult<usize> {
     match value.extract() {
         Ok(number) if !value.is_instance_of::<PyBool>() => Ok(number),
@@ -27,7 +27,7 @@ pub fn whole(value: &Bound<'_, PyAny>, what: &str) -> PyResult<usize> {
     }
 }
 
-/// How many of something to make; refused before anything of that size is.
+/// A number of items to make; too large a number is refused before anything is allocated.
 pub fn count(value: &Bound<'_, PyAny>, what: &str) -> PyResult<usize> {
     let count = whole(value, what)?;
     if count <= MAX_COUNT {

@@ -1,21 +1,21 @@
-//! Options come as nested dictionaries that name only what differs from the defaults in Rust, and
-//! go out as dictionaries that name everything.
+//! Options: arguments are nested dictionaries with the values that differ from the defaults in
+//! Rust; results are dictionaries with all values.
 
 use crate::errors::{InvalidInputError, wrong};
 use crate::numbers::{real, whole};
 use pyo3::prelude::*;
 use pyo3::types::{PyMapping, PyString};
 
-/// A value that a dictionary entry, if there is one, replaces.
+/// A value that a dictionary entry may replace.
 pub trait Overlay {
-    /// Takes the entry's value; `path` names it in errors.
+    /// Replaces it by the entry's value; `path` names the entry in errors.
     fn overlay(&mut self, value: &Bound<'_, PyAny>, path: &str) -> PyResult<()>;
 
-    /// The value as an entry that [`overlay`](Self::overlay) would take.
+    /// The value as an entry that [`overlay`](Self::overlay) accepts.
     fn entry<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>>;
 }
 
-/// The defaults, where `given` does not differ.
+/// The defaults, overlaid with `given`.
 pub fn options<T: Overlay + Default>(given: Option<&Bound<'_, PyAny>>) -> PyResult<T> {
     let mut options = T::default();
     if let Some(given) = given {
@@ -57,7 +57,7 @@ impl Overlay for usize {
     }
 }
 
-/// The entries of the dictionary at `path`, or the error that there is no dictionary.
+/// The entries of the dictionary at `path`, or the error that it is not a dictionary.
 pub fn entries<'py>(
     value: &Bound<'py, PyAny>,
     path: &str,
@@ -82,7 +82,7 @@ pub fn unknown(path: &str, key: &str, known: &[&str]) -> PyErr {
 }
 
 /// Implements [`Overlay`] for an options struct: every field can be replaced, and no other key is
-/// accepted. It does not compile unless it names every field.
+/// accepted. An invocation that omits a field does not compile.
 macro_rules! overlay_fields {
     ($options:ty { $($field:ident),+ $(,)? }) => {
         impl $crate::options::Overlay for $options {
@@ -120,7 +120,7 @@ macro_rules! overlay_fields {
 }
 pub(crate) use overlay_fields;
 
-/// Implements [`Overlay`] for enums whose values are words.
+/// Implements [`Overlay`] for enums whose values are words in Python.
 macro_rules! overlay_words {
     ($($choice:ty),+ $(,)?) => {
         $(impl $crate::options::Overlay for $choice {

@@ -8,7 +8,7 @@ use fingerpost_core::measure::outline::{self, EdgePoint, EdgePolarity, LineFit};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
-/// The edges along a path, one per stretch that has one.
+/// Edges along a path, at most one for each stretch.
 #[pyclass(name = "EdgePoints", module = "fingerpost._core", frozen)]
 pub struct PyEdgePoints(Vec<EdgePoint>);
 
@@ -18,19 +18,19 @@ impl PyEdgePoints {
         self.0.len()
     }
 
-    /// Where they are, (N, 2).
+    /// Positions of the edges, (N, 2).
     #[getter]
     fn position_px(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
         table(py, self.0.iter().map(|edge| [edge.position.x, edge.position.y]))
     }
 
-    /// Their distances from the path, (N,).
+    /// Signed distances of the edges from the path, (N,).
     #[getter]
     fn offset_px(&self, py: Python<'_>) -> Py<PyArray1<f64>> {
         column(py, self.0.iter().map(|edge| edge.offset_px))
     }
 
-    /// The steps of grey levels across them, (N,).
+    /// Steps across the edges, (N,).
     #[getter]
     fn contrast(&self, py: Python<'_>) -> Py<PyArray1<f64>> {
         column(py, self.0.iter().map(|edge| edge.contrast))
@@ -43,51 +43,51 @@ impl PyEdgePoints {
     }
 }
 
-/// A line through edges.
+/// The line with the largest consensus among edges.
 #[pyclass(name = "LineFit", module = "fingerpost._core", frozen)]
 pub struct PyLineFit(LineFit);
 
 #[pymethods]
 impl PyLineFit {
-    /// A point in the middle of its edges.
+    /// A point of the line, in the middle of the inliers.
     #[getter]
     fn point_px(&self) -> (f64, f64) {
         (self.0.point.x, self.0.point.y)
     }
 
-    /// Its direction.
+    /// Direction of the line, determined up to a half turn.
     #[getter]
     fn angle_rad(&self) -> f64 {
         self.0.angle_rad
     }
 
-    /// Covariance of offset and angle, (2, 2).
+    /// Covariance of (offset, angle), (2, 2).
     #[getter]
     fn covariance(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
         let c = &self.0.covariance;
         table(py, [[c[(0, 0)], c[(0, 1)]], [c[(1, 0)], c[(1, 1)]]])
     }
 
-    /// The part of the edges that lie on it.
+    /// Fraction of the edges that are inliers.
     #[getter]
     fn share(&self) -> f64 {
         self.0.share
     }
 
-    /// Which edges lie on it, (N,).
+    /// Whether each edge is an inlier, (N,).
     #[getter]
     fn inliers(&self, py: Python<'_>) -> Py<PyArray1<bool>> {
         column(py, self.0.inliers.iter().copied())
     }
 
-    /// Root mean square of their residuals.
+    /// Root mean square of the inliers' residuals.
     #[getter]
     fn rms_px(&self) -> f64 {
         self.0.rms_px
     }
 }
 
-/// Locates an edge along a path.
+/// Localises an edge along a path to a fraction of a pixel.
 #[pyfunction]
 #[pyo3(signature = (image, path_px, reach_px, polarity, least_contrast))]
 pub fn edges_along(
@@ -114,7 +114,7 @@ pub fn edges_along(
     edges.map(PyEdgePoints).map_err(invalid_input)
 }
 
-/// Fits the line that most edges lie on.
+/// Fits the line with the largest consensus.
 #[pyfunction]
 pub fn fit_line(
     py: Python<'_>,

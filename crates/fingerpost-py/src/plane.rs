@@ -11,7 +11,7 @@ use fingerpost_core::plane::{
 use numpy::PyArray2;
 use pyo3::prelude::*;
 
-/// A lens as fx, fy, cx, cy, k1, k2 and the radius up to which its model holds.
+/// A lens as fx, fy, cx, cy, k1, k2 and the radius up to which its model is valid.
 fn lens(value: &Bound<'_, PyAny>) -> PyResult<RadialLens> {
     let entries: Option<[f64; 7]> = value.extract().ok();
     let Some([fx, fy, cx, cy, k1, k2, max_radius]) = entries else {
@@ -36,7 +36,7 @@ fn pairs(points: Vec<Point2<f64>>) -> Vec<[f64; 2]> {
     points.into_iter().map(|p| [p.x, p.y]).collect()
 }
 
-/// The chosen pixels of one level of a first image's pyramid.
+/// Chosen pixels of the working plane at one level of a first image's pyramid.
 #[pyclass(name = "PlaneLevel", module = "fingerpost._core", frozen)]
 pub struct PyPlaneLevel(PlaneLevel);
 
@@ -77,33 +77,33 @@ impl PyPlaneLevel {
     }
 }
 
-/// The working plane as it lies in an image.
+/// The pose of the working plane in an image.
 #[pyclass(name = "RegisteredPlane", module = "fingerpost._core", frozen)]
 pub struct PyRegisteredPlane(Registered);
 
 #[pymethods]
 impl PyRegisteredPlane {
-    /// Homography from the first image to the present one.
+    /// Homography from undistorted pixels of the first image to those of this one.
     #[getter]
     fn now_from_first(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
         let entries = self.0.now_from_first;
         table(py, (0..3).map(|k| [0, 1, 2].map(|j| entries[(k, j)])))
     }
 
-    /// Covariance of the entries of a step.
+    /// Covariance of the homography's error in unit coordinates.
     #[getter]
     fn step_covariance(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
         let entries = self.0.step_covariance;
         table(py, (0..8).map(|k| [0, 1, 2, 3, 4, 5, 6, 7].map(|j| entries[(k, j)])))
     }
 
-    /// Part of the information that inliers have.
+    /// Inliers' fraction of the information of the pixels expected to be inliers.
     #[getter]
     fn inlier_share(&self) -> f64 {
         self.0.inlier_share
     }
 
-    /// Number of inliers.
+    /// Number of inliers among these pixels.
     #[getter]
     fn inliers(&self) -> usize {
         self.0.inliers

@@ -8,13 +8,13 @@ use fingerpost_core::axis::RoundFinger;
 use fingerpost_core::geometry::shape_space::Axis;
 use pyo3::prelude::*;
 
-/// The finger whose shading, as a round body's, explains best what is seen about an axis.
+/// The round body whose shading fits the image about an axis best.
 #[pyclass(name = "RoundFinger", module = "fingerpost._core", frozen)]
 pub struct PyRoundFinger(RoundFinger);
 
 #[pymethods]
 impl PyRoundFinger {
-    /// Fits it to what is seen about an axis.
+    /// Fits a body to the image about an axis.
     #[staticmethod]
     #[pyo3(signature = (image, anchor_px, tip_px, half_width_px, colour = None))]
     fn fit(
@@ -35,31 +35,31 @@ impl PyRoundFinger {
         Ok(finger.map_err(invalid_input)?.map(Self))
     }
 
-    /// How far beside the anchor its axis runs.
+    /// Offset of the fitted axis from the anchor.
     #[getter]
     fn offset_px(&self) -> f64 {
         self.0.offset_px
     }
 
-    /// By how much its axis is turned.
+    /// Angle of the fitted axis minus that of the given one.
     #[getter]
     fn turn_rad(&self) -> f64 {
         self.0.turn_rad
     }
 
-    /// Half its width at the anchor.
+    /// Half-width at the anchor.
     #[getter]
     fn half_width_px(&self) -> f64 {
         self.0.half_width_px
     }
 
-    /// How much what is seen differs from it.
+    /// Robust cost of the fit.
     #[getter]
     fn misfit(&self) -> f64 {
         self.0.misfit
     }
 
-    /// The same of the best body about the given axis.
+    /// The least such cost of a body about the given axis.
     #[getter]
     fn misfit_about_given(&self) -> f64 {
         self.0.misfit_about_given

@@ -1,4 +1,4 @@
-//! `fingerpost._core.EdgeSearch` and the lines that a search or a tracker has looked along.
+//! `fingerpost._core.EdgeSearch` and the search lines of it or of a tracker.
 
 use crate::arrays::{column, points, same_length, table, unit_vectors, vector};
 use crate::errors::invalid_input;
@@ -15,7 +15,7 @@ use pyo3::prelude::*;
 overlay_fields!(SearchOptions { scale_px, blur_px, noise_grey, min_contrast_grey });
 overlay_words!(Polarity);
 
-/// Looks for edges along the normals of a contour.
+/// Searches for edges along the normals of a contour.
 #[pyclass(name = "EdgeSearch", module = "fingerpost._core", frozen)]
 pub struct PyEdgeSearch(EdgeSearch);
 
@@ -57,7 +57,8 @@ impl PyEdgeSearch {
         let frame = arrays.frame()?;
         let lines = lines(position_px, normal, half_length_px, polarity)?;
         let scale = scale.map_or(Ok(Scale::Fine), |scale| Scale::parse(scale, "scale"))?;
-        // The buffers of a search are a few kilobytes: with its own, every thread may search.
+        // A copy for each call, so that several threads may search at once; its buffers are a few
+        // kilobytes.
         let mut search = self.0.clone();
         let mut found = Vec::with_capacity(lines.len());
         py.detach(|| search.search(&frame, Cue::Edges, scale, &lines, &mut found))
@@ -97,14 +98,14 @@ fn lines(
         .collect())
 }
 
-/// Lines that were searched, and what was found along each.
+/// Search lines with their edge measurements.
 #[pyclass(name = "SearchLines", module = "fingerpost._core", frozen, get_all)]
 pub struct PySearchLines {
-    /// Where the lines cross the contour.
+    /// Intersections of the lines with the contour.
     position_px: Py<PyArray2<f64>>,
     /// Unit vectors along the lines, out of the hand.
     normal: Py<PyArray2<f64>>,
-    /// How far each line goes to either side.
+    /// Search range of each line to either side.
     half_length_px: Py<PyArray1<f64>>,
     /// Signed distance of the edge along the normal; NaN for a miss.
     offset_px: Py<PyArray1<f64>>,
@@ -112,15 +113,16 @@ pub struct PySearchLines {
     contrast_grey: Py<PyArray1<f64>>,
     /// Variance of the offset; NaN for a miss.
     variance_px2: Py<PyArray1<f64>>,
-    /// How differently the pixels on either side vote; NaN for a miss or without an appearance.
+    /// Mean log-likelihood ratio inside minus outside; NaN for a miss or without an appearance
+    /// model.
     separation: Py<PyArray1<f64>>,
-    /// Whether the edge agrees with the tracker's fit; None for lines that nothing was fitted to.
+    /// Whether the edge agrees with the tracker's fit; None for lines of an `EdgeSearch`.
     agrees: Option<Py<PyArray1<bool>>>,
-    /// Why there is no edge; empty where there is one.
+    /// Reason for the absence of an edge; empty where there is one.
     miss: Py<PyArray1<MissWord>>,
 }
 
-/// A word for a miss: "out-of-image" is the longest.
+/// A word for a miss, at most as long as "out-of-image".
 type MissWord = PyFixedUnicode<12>;
 
 impl PySearchLines {

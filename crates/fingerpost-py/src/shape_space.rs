@@ -1,7 +1,9 @@
-//! `fingerpost._core.ShapeSpace`: one class over the core's spaces, whose dimension is a constant
-//! there and a number here.
+//! `fingerpost._core.ShapeSpace`: one class over the core's spaces, whose dimensions are constants
+//! of their types.
 
-use crate::arrays::{column, flat_table, matrix, point, same_length, table, unit_vectors, vector};
+use crate::arrays::{
+    UNIT_TOLERANCE, column, flat_table, matrix, point, same_length, table, unit_vectors, vector,
+};
 use crate::errors::{InvalidInputError, invalid_input};
 use crate::numbers::whole;
 use crate::template::PyTemplate;
@@ -32,7 +34,7 @@ enum Space {
     Ribbon9(Ribbon<RIBBON_DOF>),
 }
 
-/// `$body`, with `$space` as what it is.
+/// `$body`, with `$space` as the space of its own type.
 macro_rules! in_each {
     ($any:expr, $space:ident => $body:expr) => {
         match $any {
@@ -51,7 +53,7 @@ macro_rules! in_each {
     };
 }
 
-/// Shape vectors that stand for no hand are refused before anything is computed from them.
+/// Refusal of shape vectors that describe no hand.
 trait Sound<const D: usize>: ShapeSpace<D> {
     fn check(&self, x: &SVector<f64, D>, pose: &Self::Pose) -> Result<()>;
 }
@@ -80,21 +82,21 @@ impl<const D: usize> Sound<D> for Ribbon<D> {
     }
 }
 
-/// Which deformations of a template are allowed.
+/// The allowed deformations of a template.
 #[pyclass(name = "ShapeSpace", module = "fingerpost._core", frozen)]
 pub struct PyShapeSpace {
     space: Space,
     kind: &'static str,
-    /// The side of the thumb that the band template is made for; planar spaces take any template.
+    /// The thumb's side of a band template; `None` for planar spaces, which take any template.
     bands: Option<Thumb>,
 }
 
-/// A space and the shape vector of the map that it was made through.
+/// A space, and the shape vector of the map that it was made from.
 type Through = (PyShapeSpace, Py<PyArray1<f64>>);
 
 #[pymethods]
 impl PyShapeSpace {
-    /// (c): the template moves and nothing else.
+    /// (c): translation alone.
     #[staticmethod]
     fn translation(
         py: Python<'_>,
@@ -184,13 +186,13 @@ impl PyShapeSpace {
         }
     }
 
-    /// Which space it is: the name of its constructor.
+    /// Name of the constructor.
     #[getter]
     fn kind(&self) -> &'static str {
         self.kind
     }
 
-    /// What each component of the shape vector is, with its unit.
+    /// Name and unit of each component of the shape vector.
     #[getter]
     fn names(&self) -> Vec<&'static str> {
         in_each!(&self.space, space => names_of(space)).to_vec()
@@ -202,7 +204,7 @@ impl PyShapeSpace {
         in_each!(&self.space, space => names_of(space)).len()
     }
 
-    /// The template in the image, as a shape vector deforms it.
+    /// Deforms the template and places it in the image.
     #[pyo3(signature = (shape_vector, template, samples = None))]
     fn place(
         &self,
@@ -223,7 +225,7 @@ impl PyShapeSpace {
         })
     }
 
-    /// How far each component of the shape vector moves each sample along its normal.
+    /// Derivatives of the contour's motion along its normals by the shape vector.
     #[pyo3(signature = (shape_vector, template, samples = None, *, normal = None))]
     fn normal_rows(
         &self,
@@ -253,7 +255,7 @@ impl PyShapeSpace {
             .map_err(invalid_input)
     }
 
-    /// How far each component of the shape vector shifts and turns the axis.
+    /// Derivatives of the axis by the shape vector.
     fn axis_jacobian(
         &self,
         py: Python<'_>,
@@ -289,7 +291,7 @@ impl PyShapeSpace {
     }
 }
 
-/// A band template before it is known how many of its components are free.
+/// A band template before its free components are chosen.
 struct Bands {
     held: RibbonVector,
     measure: BandMeasure,
@@ -336,7 +338,7 @@ fn names_of<S: ShapeSpace<D>, const D: usize>(_space: &S) -> &'static [&'static 
     const { &S::NAMES }
 }
 
-/// The shape vector and the pose that it stands for.
+/// The shape vector, checked, and its pose.
 fn posed<S: Sound<D>, const D: usize>(space: &S, x: &[f64]) -> Result<(SVector<f64, D>, S::Pose)> {
     if x.len() != D {
         let what = "components of the shape vector";
@@ -352,7 +354,7 @@ fn posed<S: Sound<D>, const D: usize>(space: &S, x: &[f64]) -> Result<(SVector<f
     Ok((x, pose))
 }
 
-/// Where the samples stand, and whether another limb hides them.
+/// The placed samples, and whether another limb hides each.
 fn placed<S: Sound<D>, const D: usize>(
     space: &S,
     x: &[f64],
@@ -363,9 +365,9 @@ fn placed<S: Sound<D>, const D: usize>(
         .iter()
         .map(|sample| {
             let placed = pose.place(sample);
-            // A thumb without a length has no direction either.
+            // A thumb of zero length has no direction, and one of subnormal length a rounded one.
             let value = placed.normal.norm();
-            if value > 0.5 {
+            if (value - 1.0).abs() <= UNIT_TOLERANCE {
                 Ok((placed, pose.is_hidden(sample, &placed)))
             } else {
                 let (what, right) = ("length of a normal of the placed contour", "1");
@@ -398,11 +400,11 @@ fn axis_jacobian<S: Sound<D>, const D: usize>(space: &S, x: &[f64]) -> Result<Ve
 /// The template's outline in the image.
 #[pyclass(name = "PlacedContour", module = "fingerpost._core", frozen, get_all)]
 pub struct PyPlacedContour {
-    /// Where the samples stand.
+    /// Positions of the samples.
     position_px: Py<PyArray2<f64>>,
     /// Unit normals, out of the hand.
     normal: Py<PyArray2<f64>>,
-    /// Whether another limb hides the sample.
+    /// Whether the sample lies inside another limb.
     hidden: Py<PyArray1<bool>>,
 }
 

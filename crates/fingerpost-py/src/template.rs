@@ -18,7 +18,7 @@ use pyo3::prelude::*;
 overlay_fields!(Proportions { half_width, flank_start, thumb });
 overlay_fields!(ThumbProportions { base, angle_rad, length, half_width, far_flank });
 
-/// A thumb has proportions; whether there is one, and on which side, they do not say.
+/// Options change the proportions of a thumb, not its presence or its side.
 impl Overlay for Option<(HandSide, ThumbProportions)> {
     fn overlay(&mut self, value: &Bound<'_, PyAny>, path: &str) -> PyResult<()> {
         match self {
@@ -98,25 +98,25 @@ impl PyTemplate {
         self.0.hand().word()
     }
 
-    /// What a pistol was made from; None for a traced outline.
+    /// All proportions of a pistol; None for a traced outline.
     #[getter]
     fn proportions<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         self.0.proportions().map(|proportions| proportions.entry(py)).transpose()
     }
 
-    /// The outline's B-spline.
+    /// B-spline basis of the outline.
     #[getter]
     fn spline(&self) -> PyBSpline {
         PyBSpline(self.0.outline().0.clone())
     }
 
-    /// The outline's control points.
+    /// Control points of the outline.
     #[getter]
     fn control_points(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
         table(py, self.0.outline().1.iter().map(|p| p.coords.into()))
     }
 
-    /// Points of the outline at equal steps of arc length.
+    /// Samples the outline at equal steps of arc length.
     #[pyo3(signature = (samples = None))]
     fn outline(
         &self,
@@ -133,12 +133,12 @@ impl PyTemplate {
 }
 
 impl PyTemplate {
-    /// How it was made, in words.
+    /// Description of its origin.
     pub fn kind(&self) -> &'static str {
         if self.0.proportions().is_some() { "pistol" } else { "traced outline" }
     }
 
-    /// Samples of the outline; `None` for as many as a tracker takes.
+    /// Samples of the outline; `None` for a tracker's default number.
     pub fn samples(
         &self,
         py: Python<'_>,

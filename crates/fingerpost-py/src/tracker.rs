@@ -1,4 +1,4 @@
-//! `fingerpost._core.ContourTracker` and what its frames return.
+//! `fingerpost._core.ContourTracker` and its results.
 
 use crate::arrays::{column, flat_table, point, table};
 use crate::background::PyBackground;
@@ -53,12 +53,12 @@ overlay_fields!(TrackerOptions {
 
 overlay_words!(Model);
 
-/// Where the template waits for the hand.
+/// The start pose of the initial template.
 #[pyclass(name = "StartPose", module = "fingerpost", frozen, eq)]
 #[derive(PartialEq)]
 pub struct PyStartPose {
     start: StartPose,
-    /// The undeformed template there.
+    /// The map of the undeformed template.
     map: AffineMap,
 }
 
@@ -117,7 +117,7 @@ impl PyStartPose {
 }
 
 impl PyStartPose {
-    /// The start pose, or the error that there is no such pose.
+    /// The start pose, or the error that its values are invalid.
     pub fn at(start: StartPose) -> PyResult<Self> {
         let StartPose { tip_px, angle_rad, length_px } = start;
         let map = AffineMap::upright(tip_px, angle_rad, length_px).map_err(invalid_input)?;
@@ -125,11 +125,11 @@ impl PyStartPose {
     }
 }
 
-/// Follows one hand in one view.
+/// Tracks one hand in one view.
 #[pyclass(name = "ContourTracker", module = "fingerpost")]
 pub struct PyContourTracker(pub ContourTracker);
 
-/// A constructor of the tracker's.
+/// A constructor of the core's tracker.
 type Make = fn(Template, &StartPose, TrackerOptions) -> Result<ContourTracker>;
 
 impl PyContourTracker {
@@ -159,7 +159,7 @@ impl PyContourTracker {
         Self::made(py, ContourTracker::new, template, start, options)
     }
 
-    /// A tracker whose hand is believed to be there already.
+    /// A tracker of a hand that is already at `start`.
     #[staticmethod]
     #[pyo3(signature = (template, start, options = None))]
     fn at_hand(
@@ -171,7 +171,7 @@ impl PyContourTracker {
         Self::made(py, ContourTracker::at_hand, template, start, options)
     }
 
-    /// Takes one frame and tells where the hand is.
+    /// Updates the tracker by one frame, and returns the estimate for it.
     #[pyo3(signature = (image, time_s, colour = None, *, background = None))]
     fn update(
         slf: &Bound<'_, Self>,
@@ -211,7 +211,7 @@ impl PyContourTracker {
         Self::at_rest(slf)?.0.options().entry(py)
     }
 
-    /// By how much the view shows the finger shorter than it is.
+    /// Foreshortening of the finger in this view.
     #[getter]
     fn foreshortening(slf: &Bound<'_, Self>) -> PyResult<f64> {
         Ok(Self::at_rest(slf)?.0.foreshortening())
@@ -227,13 +227,13 @@ impl PyContourTracker {
         this.0.set_foreshortening(foreshortening).map_err(invalid_input)
     }
 
-    /// The contour after the last frame, or where it waits.
+    /// The contour after the last frame, or at the start pose.
     fn contour(slf: &Bound<'_, Self>, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
         let contour = Self::at_rest(slf)?.0.contour();
         table(py, contour.iter().map(|s| s.position.coords.into()))
     }
 
-    /// The last search.
+    /// The last search along the normals.
     fn search_lines(slf: &Bound<'_, Self>, py: Python<'_>) -> PyResult<PySearchLines> {
         let this = Self::at_rest(slf)?;
         let searched: Vec<_> = this.0.search_lines().collect();
@@ -250,31 +250,31 @@ impl PyContourTracker {
 }
 
 impl PyContourTracker {
-    /// The tracker, unless it is updated in another thread.
+    /// The tracker, unless another thread is updating it.
     fn at_rest<'py>(slf: &Bound<'py, Self>) -> PyResult<PyRef<'py, Self>> {
         slf.try_borrow().map_err(|_| in_use("ContourTracker"))
     }
 }
 
-/// What one frame told.
+/// The estimate of one frame.
 #[pyclass(name = "Track", module = "fingerpost._core", frozen)]
 pub struct PyTrack(pub Track);
 
 #[pymethods]
 impl PyTrack {
-    /// When the frame was captured.
+    /// Time of capture of the frame.
     #[getter]
     fn time_s(&self) -> f64 {
         self.0.time_s
     }
 
-    /// Where the tracker is after the frame.
+    /// State of the tracker after the frame.
     #[getter]
     fn status(&self) -> &'static str {
         self.0.status.word()
     }
 
-    /// The line that the finger points along, if the hand is tracked and the fit was accepted.
+    /// The finger line, if the hand is tracked and the fit was accepted.
     #[getter]
     fn finger_line(&self) -> Option<PyFingerLine> {
         self.0.finger_line.map(PyFingerLine)
@@ -302,7 +302,7 @@ impl PyTrack {
         flat_table(py, entries.collect(), n).map(Some)
     }
 
-    /// Why the frame went the way it did.
+    /// Diagnostics of the frame's fit.
     #[getter]
     fn diagnostics(&self) -> PyDiagnostics {
         PyDiagnostics(self.0.diagnostics)
@@ -321,13 +321,13 @@ pub struct PyFingerLine(FingerLine);
 
 #[pymethods]
 impl PyFingerLine {
-    /// The point that the offset is measured at: the middle of what the line was measured on.
+    /// The point to which the covariance refers: the midpoint of the measured segment.
     #[getter]
     fn anchor_px(&self) -> (f64, f64) {
         (self.0.axis.anchor.x, self.0.axis.anchor.y)
     }
 
-    /// The end of the axis at the finger's apex.
+    /// The finger's apex, on the line.
     #[getter]
     fn tip_px(&self) -> (f64, f64) {
         (self.0.axis.tip.x, self.0.axis.tip.y)
@@ -339,25 +339,25 @@ impl PyFingerLine {
         self.0.axis.angle_rad
     }
 
-    /// Half the length of what it was measured on.
+    /// Half the length of the segment that the line was measured on.
     #[getter]
     fn half_length_px(&self) -> f64 {
         self.0.half_length_px
     }
 
-    /// Where the stretch that it is told for begins and ends, from the anchor.
+    /// Start and end of the segment that the line is reported for, relative to the anchor.
     #[getter]
     fn stretch_px(&self) -> (f64, f64) {
         (self.0.stretch.from_px, self.0.stretch.to_px)
     }
 
-    /// Covariance of offset and angle.
+    /// Covariance of (offset, angle).
     #[getter]
     fn covariance(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
         flat_table(py, self.0.covariance.transpose().as_slice().to_vec(), 2)
     }
 
-    /// What it was measured on.
+    /// The measurements that the line was estimated from.
     #[getter]
     fn source(&self) -> &'static str {
         self.0.source.word()
@@ -378,61 +378,61 @@ impl PyFingerLine {
     }
 }
 
-/// Why a frame went the way it did.
+/// Diagnostics of one frame.
 #[pyclass(name = "Diagnostics", module = "fingerpost._core", frozen)]
 pub struct PyDiagnostics(Diagnostics);
 
 #[pymethods]
 impl PyDiagnostics {
-    /// Samples of the contour that no other limb hides.
+    /// Number of contour samples that no other limb hides.
     #[getter]
     fn visible(&self) -> usize {
         self.0.visible
     }
 
-    /// Lines of the frame's last search that found an edge.
+    /// Number of visible samples on whose search line an edge was found.
     #[getter]
     fn hits(&self) -> usize {
         self.0.hits
     }
 
-    /// Edges that agree with the fit.
+    /// Number of edges that agree with the fit.
     #[getter]
     fn inliers(&self) -> usize {
         self.0.inliers
     }
 
-    /// The part of the finger's visible samples whose edges agree with the fit.
+    /// Fraction of the finger's visible samples whose edges agree with the fit.
     #[getter]
     fn agreement(&self) -> f64 {
         self.0.agreement
     }
 
-    /// The least agreement with which the fit counted; above 1 if none would do.
+    /// The least agreement at which the fit would be accepted; above 1 if there is none.
     #[getter]
     fn min_agreement(&self) -> f64 {
         self.0.min_agreement
     }
 
-    /// Root mean square of their residual offsets.
+    /// Root mean square of the residual offsets of the inliers.
     #[getter]
     fn residual_rms_px(&self) -> f64 {
         self.0.residual_rms_px
     }
 
-    /// The largest with which the fit counted.
+    /// The largest such residual at which the fit would be accepted.
     #[getter]
     fn max_residual_px(&self) -> f64 {
         self.0.max_residual_px
     }
 
-    /// Directions of the shape space that the measurements determine.
+    /// Number of directions of the shape space that the measurements determine.
     #[getter]
     fn rank(&self) -> usize {
         self.0.rank
     }
 
-    /// Searches along the normals in the last shape space.
+    /// Number of searches along the normals in the last shape space.
     #[getter]
     fn iterations(&self) -> usize {
         self.0.iterations
@@ -444,19 +444,19 @@ impl PyDiagnostics {
         self.0.accepted
     }
 
-    /// Why the fit was not accepted.
+    /// Reason for refusing the fit.
     #[getter]
     fn refusal(&self) -> Option<&'static str> {
         self.0.refusal.map(Word::word)
     }
 
-    /// How much a fit surprises.
+    /// Normalised square of the innovation of position and angle.
     #[getter]
     fn innovation(&self) -> Option<f64> {
         self.0.innovation
     }
 
-    /// How much the finger is bent.
+    /// Bend of the finger in the image.
     #[getter]
     fn bend_rad(&self) -> Option<f64> {
         self.0.bend_rad

@@ -10,7 +10,7 @@ use fingerpost_core::track::views::{Schedule, ViewUpdate};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
-/// A tracker, grey levels, capture time and, if there are any, colours and a background.
+/// A tracker, grey levels, time of capture and, if there are any, colours and a background.
 type View<'py> = (
     Bound<'py, PyContourTracker>,
     Bound<'py, PyAny>,
@@ -19,7 +19,7 @@ type View<'py> = (
     Option<Bound<'py, PyBackground>>,
 );
 
-/// Takes one frame of every view and tells where the hand is in each.
+/// Updates the trackers of all views by one frame each.
 #[pyfunction]
 #[expect(clippy::needless_pass_by_value, reason = "pyo3 extracts sequences by value")]
 #[pyo3(signature = (views, *, schedule = None))]
@@ -43,18 +43,19 @@ pub fn update_views<'py>(
         .collect();
     let mut tracks =
         py.detach(|| fingerpost_core::track::views::update_views(updates, schedule)).into_iter();
-    let told = refused.into_iter().filter_map(|refusal| match refusal {
+    let results = refused.into_iter().filter_map(|refusal| match refusal {
         Some(error) => Some(Err(error)),
         None => tracks.next().map(|track| track.map_err(invalid_input)),
     });
-    told.map(|track| match track {
-        Ok(track) => Ok(Bound::new(py, PyTrack(track))?.into_any()),
-        Err(error) => Ok(error.into_value(py).into_bound(py).into_any()),
-    })
-    .collect()
+    results
+        .map(|result| match result {
+            Ok(track) => Ok(Bound::new(py, PyTrack(track))?.into_any()),
+            Err(error) => Ok(error.into_value(py).into_bound(py).into_any()),
+        })
+        .collect()
 }
 
-/// The entries of a view, or the error that they are others.
+/// The entries of a view, or the error that their number is wrong.
 fn entries<'py>(k: usize, view: &Bound<'py, PyTuple>) -> PyResult<View<'py>> {
     match view.len() {
         5 => view.extract(),

@@ -10,15 +10,15 @@ use fingerpost_core::track::{LineSource, Model, Refusal, Status};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
 
-/// A choice among words.
+/// An enum whose values are words in Python.
 pub trait Word: Copy + 'static {
-    /// Every choice.
+    /// All values.
     const ALL: &'static [Self];
 
-    /// The word for it.
+    /// The word of this value.
     fn word(self) -> &'static str;
 
-    /// The choice that a word stands for, or the error that names them all.
+    /// The value of a word, or the error that names all words.
     fn parse(value: &Bound<'_, PyAny>, what: &str) -> PyResult<Self> {
         let given = value.cast::<PyString>().ok();
         let meant = |choice: &&Self| given.is_some_and(|word| word == choice.word());

@@ -1,14 +1,13 @@
-r"""The placement advisor: how well a rig will tell where hands point, before anybody points.
+r"""The placement advisor: predicts the accuracy of a rig before it is used.
 
     rig = Rig.load("rig.toml")
     advice = advise(rig, sizes_px=[(640, 480), (640, 480)])
     print("\n".join(advice.table()))
     advice.draw("advice.png")
 
-From the reference points alone: they tell where each camera stands (`camera`); the hand poses to
-be expected (`poses`) are projected into the cameras, and `fingerpost.pointing.indicated_point`
-says what would come of them (`forecast`). Moving every camera a little shows which one stands
-badly (`moves`).
+It only uses the reference points: they give the pose of each camera (`camera`); the expected hand
+poses (`poses`) are projected into the cameras, and `fingerpost.pointing.indicated_point` gives the
+resulting points (`forecast`). Trial moves of every camera show which one is badly placed (`moves`).
 """
 
 from fingerpost.advise.advice import (

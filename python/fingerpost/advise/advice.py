@@ -1,4 +1,4 @@
-"""From a rig to advice: what to expect of the cameras as they stand, and what would be better."""
+"""Advice on a rig: expected accuracy of the present cameras, and improvements."""
 
 from __future__ import annotations
 
@@ -36,64 +36,65 @@ Progress = Callable[[int, int], None]
 
 DOUBTFUL_MISFIT = 9.0
 LARGEST_MISFIT = 25.0
-"""A view whose reference points miss every camera by more than 3 standard deviations is doubted,
-by more than 5 refused: whatever were said of it would be said of another camera."""
+"""Limits of the squared misfit of reference points to any camera. Above 3 standard deviations a
+view is doubted, above 5 it is refused, because a forecast would be for another camera."""
 
 SMALL_VERGENCE_DEG = 15.0
 """Below this angle between the views' rays to the middle of the workspace, constraint lines run
 nearly parallel in every direction of pointing."""
 
 SHORT_FINGER_PX = 30.0
-"""A shorter finger costs more than the cameras' places: its line's error grows as length^-3/2."""
+"""Length below which the finger limits the accuracy more than the cameras' placement: its line's
+error grows as length^-3/2."""
 
 WEAK_REFERENCES = 2.0
-"""Standard deviation of a point of the workspace, over that of the reference points, both in the
+"""Standard deviation of a point of the workspace relative to that of the reference points, in the
 image: 0.5 to 1 between four corners that are well apart."""
 
 NOTABLE_SHARE = 0.05
 HOPELESS_SHARE = 0.5
-"""A direction is called hopeless in which more than this share of the poses has no point."""
+"""Share of poses without a point above which a direction is called hopeless."""
 
 _POSES_EACH = 3
 
 
 class Concern(StrEnum):
-    """What a flag is about."""
+    """Subject of a flag."""
 
     SCALE = "scale"
     """The plane's coordinates are not to scale, or the image is cropped."""
     FOCAL_LENGTH = "focal_length"
-    """The view does not tell its own focal length; one is assumed."""
+    """The view does not determine its own focal length; one is assumed."""
     VERGENCE = "vergence"
-    """Two cameras look from nearly the same direction."""
+    """Two cameras have nearly the same direction."""
     REFERENCES = "references"
-    """Reference points cover little, or lie nearly on a line."""
+    """Reference points cover a small area, or are nearly collinear."""
     REFERENCE_ERROR = "reference_error"
-    """Reference points are the larger part of the error."""
+    """Reference points cause most of the error."""
     SHORT_FINGER = "short_finger"
-    """The finger takes few pixels."""
+    """The finger is small in the image."""
     OUT_OF_VIEW = "out_of_view"
-    """An image does not hold the hand in a part of the poses."""
+    """The hand is outside an image in some of the poses."""
     END_ON = "end_on"
-    """A camera sees the finger end-on in a part of the poses."""
+    """A camera sees the finger end-on in some of the poses."""
     COPLANAR = "coplanar"
-    """The finger lies in one plane with the cameras in a part of the poses."""
+    """The finger is coplanar with the cameras in some of the poses."""
     BEHIND = "behind"
-    """A camera does not see the plane where the finger points in a part of the poses."""
+    """A camera does not see the indicated point of the plane in some of the poses."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flag:
-    """Something to know about the set-up.
+    """A remark on the set-up.
 
     Attributes
     ----------
     concern
-        What it is about.
+        Its subject.
     view
         Name of the view, or empty for the rig.
     text
-        One sentence: what, and what would be right.
+        One sentence: the problem and its remedy.
     """
 
     concern: Concern
@@ -103,22 +104,22 @@ class Flag:
 
 @dataclass(frozen=True, eq=False)
 class ViewAdvice:
-    """One camera, as its reference points show it.
+    """One camera, recovered from its reference points.
 
     Attributes
     ----------
     name
-        The view's name.
+        Name of the view.
     camera
         The camera.
     bearings
-        Where it stands.
+        Its direction and distance from the workspace.
     px_per_mm
-        Of a hand in the middle of the workspace.
+        Scale of a hand in the middle of the workspace.
     finger_px
-        Median length of the finger's flanks in the image, of the expected poses [px].
+        Median length of the finger's flanks in the image, over the expected poses [px].
     in_view
-        Share of the expected poses that the image holds, 0 to 1.
+        Share of the expected poses inside the image, 0 to 1.
     """
 
     name: str
@@ -139,16 +140,16 @@ class Cell:
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """A sector of directions of pointing, and the poses that point that way.
+    """A sector of pointing directions, with its poses.
 
     Attributes
     ----------
     azimuth_deg
         Its middle, −180 to 180: 0 towards the cameras, positive anticlockwise from above.
     expected
-        Whether it lies in the range of expected poses.
+        Whether it is in the range of expected poses.
     figures
-        Of all targets.
+        Figures of all targets.
     """
 
     azimuth_deg: float
@@ -157,13 +158,13 @@ class Direction:
 
     @property
     def hopeless(self) -> bool:
-        """Whether pointing that way is: no point in most poses that are in view, if any are."""
+        """Whether most poses in view, if there are any, have no point."""
         return not self.figures.hopeless <= HOPELESS_SHARE
 
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """What to expect of a rig, and what would make it better. Lengths are in plane units.
+    """Expected accuracy of a rig, and improvements. Lengths are in plane units.
 
     Attributes
     ----------
@@ -172,21 +173,21 @@ class Advice:
     views
         The cameras.
     flags
-        What is wrong or doubtful, the gravest first; empty if all is well.
+        Problems and doubts, the gravest first; empty if there are none.
     expected
         Figures of all expected poses.
     shares
-        Part of the mean squared error from ``references``, ``noise`` and ``bias``; they sum to 1.
+        Shares of the mean squared error from ``references``, ``noise`` and ``bias``; they sum to 1.
     cells, cell_size
         The map: expected poses by target; and the side of a cell.
     directions
         All poses, by azimuth.
     moves
-        Every move of one camera that was tried, the best first.
+        All tried moves of one camera, the best first.
     recommended
         The best of them if it is worthwhile, else None.
     workspace, plane_points
-        Where all this is.
+        The workspace, and the reference points.
     """
 
     unit: str
@@ -204,7 +205,7 @@ class Advice:
 
     @property
     def recommendation(self) -> str:
-        """One sentence: which camera to move, and why; or that none need be."""
+        """One sentence: which camera to move and why, or that none need be moved."""
         move = self.recommended
         if move is None and self.expected.hopeless <= HOPELESS_SHARE:
             return "leave the cameras where they are: no single move makes much of a difference"
@@ -219,7 +220,7 @@ class Advice:
         return list(table_lines(self))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything for programs: None where there is no number."""
+        """Return all results as JSON values: None where there is no number."""
         from fingerpost.advise.table import as_dict
 
         return as_dict(self)
@@ -230,7 +231,7 @@ class Advice:
         Raises
         ------
         InvalidInputError
-            A kind of image that OpenCV cannot write, or a place that cannot be written to.
+            An image format that OpenCV cannot write, or a path that is not writable.
         """
         from fingerpost.advise.drawing import draw_advice
 
@@ -244,17 +245,17 @@ def advise(
     *,
     progress: Progress | None = None,
 ) -> Advice:
-    """Predict what a rig will reach before anybody points, and which camera to move.
+    """Predict the accuracy of a rig before it is used, and which camera to move.
 
     Parameters
     ----------
     rig
-        At least two views, of one plane whose coordinates are true to scale. Their sources are
-        not opened.
+        At least two views of one plane, whose coordinates are true to scale. Their sources are not
+        opened.
     sizes_px
         Width and height of each view's images.
     options
-        What to expect of hands and pictures.
+        Expected hands and pictures.
     progress
         Called with the number of moves tried and of all.
 
@@ -266,7 +267,8 @@ def advise(
     ------
     InvalidInputError
         Fewer than two views, another number of sizes, a plane unit without a length, reference
-        points that no camera shows like this, or views that see the plane from different sides.
+        points that are inconsistent with any camera, or views that see the plane from different
+        sides.
     """
     options = options or AdviceOptions()
     if len(rig.views) < 2:
@@ -328,7 +330,7 @@ def advise(
 
 
 def _is_expected(azimuth_deg: Array, options: AdviceOptions) -> NDArray[np.bool_]:
-    """Whether directions of pointing lie in the range of expected ones; one sector always does."""
+    """Whether pointing directions are in the expected range; at least one sector always is."""
     low, high = options.poses.azimuth_deg
     half_deg = max((high - low) / 2.0, 180.0 / options.sectors)
     off_deg = np.abs((azimuth_deg - (low + high) / 2.0 + 180.0) % 360.0 - 180.0)
@@ -353,7 +355,7 @@ def _recovered(
     sizes_px: Sequence[tuple[int, int]],
     options: AdviceOptions,
 ) -> list[PlaneCamera]:
-    """Cameras of all views, if there are such cameras."""
+    """Return the cameras of all views; raise if a view fits none."""
     cameras = [
         recover_camera(
             plane_view, view.reference_points_px, size, sigma_px=options.reference_sigma_px
@@ -401,7 +403,7 @@ def _shares(
     options: AdviceOptions,
     unit_mm: float,
 ) -> dict[str, float]:
-    """How much of the mean squared error each part is: what goes when it is taken away."""
+    """Share of each part in the mean squared error: the reduction without it."""
 
     def squared(options: AdviceOptions) -> Array:
         covariance = predict(poses, cameras, plane_points, options, unit_mm).covariance
@@ -429,7 +431,7 @@ def _flags(
     wanted: NDArray[np.bool_],
     options: AdviceOptions,
 ) -> list[Flag]:
-    """Everything that is worth a sentence."""
+    """Return all remarks."""
     flags = []
     for view in views:
         flags += _camera_flags(view)
@@ -490,7 +492,7 @@ def _camera_flags(view: ViewAdvice) -> list[Flag]:
             Flag(
                 Concern.FOCAL_LENGTH,
                 view.name,
-                f"it looks too straight onto the plane to tell its focal length; "
+                f"it looks too straight onto the plane to determine its focal length; "
                 f"{camera.focal_px[0]:.0f} px ± {camera.focal_sigma:.0%} is assumed: give its "
                 "lens for a prediction that can be trusted",
             )
@@ -550,15 +552,15 @@ def _pose_flags(view: ViewAdvice, ray_rad: Array, options: AdviceOptions) -> lis
 
 
 def reference_weakness(plane_view: PlaneView, sigma_px: float, points: Array) -> float:
-    """How much errors of the reference points grow, at the worst of some points of the plane.
+    """Return the growth of the reference points' errors at the worst of some points of the plane.
 
     Parameters
     ----------
     plane_view
         A view in ideal pixels whose reference points have the standard deviation `sigma_px`.
     points : (N, 2)
-        Points that span the part of the plane that counts; their centroid and the middles between
-        each and the centroid are looked at.
+        Points that span the relevant part of the plane; tested are their centroid and the midpoints
+        between it and each of them.
 
     Returns
     -------
@@ -573,7 +575,7 @@ def reference_weakness(plane_view: PlaneView, sigma_px: float, points: Array) ->
 
 
 def _why(move: Move, unit: str) -> str:
-    """Say what changes with a move, and what that is worth."""
+    """Describe the effect of a move."""
     before, after = move.before, move.after
     reasons = []
     angles = [math.degrees(figures.crossing_rad) for figures in (before, after)]

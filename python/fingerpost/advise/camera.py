@@ -1,20 +1,19 @@
-"""A camera in space from nothing but its view of the plane.
+"""Recovery of a camera's pose and focal length from its view of the plane.
 
-Forecasting how a hand above the plane will be seen needs more than the homography of eq. 1: where
-the camera stands, and how wide it sees. For a pinhole with square pixels the homography is
-``T ∝ K [r₁ r₂ t]``, and that ``r₁, r₂`` are orthogonal and equally long are two equations for what
-is unknown in ``K`` (Zhang 2000); with the principal point near the middle of the image, one would
-do for the focal length. How well they do depends on the view: a camera that looks straight down
-sees no perspective, and every focal length fits.
+The projection of a hand above the plane requires more than the homography of eq. 1: the camera's
+pose and field of view. For a pinhole with square pixels the homography is ``T ∝ K [r₁ r₂ t]``, and
+``r₁, r₂`` are orthogonal and of equal length, which gives two equations for the unknowns in ``K``
+(Zhang 2000); with a principal point near the image centre, one determines the focal length. Their
+accuracy depends on the view: if a camera looks straight down, there is no perspective, and every
+focal length fits.
 
-So the focal length, the principal point and the pose are estimated together, as the most probable
-ones given the reference points and what is known of cameras beforehand (`FOCAL_PRIOR`,
-`PRINCIPAL_POINT_PRIOR`): the view's data decide where they determine the camera, else a usual one
-is assumed, and `PlaneCamera.focal_sigma` says so. A lens that the rig file gives leaves only the
-pose to be found.
+Focal length, principal point and pose are therefore estimated jointly, as the maximum a posteriori
+of the reference points and priors on cameras (`FOCAL_PRIOR`, `PRINCIPAL_POINT_PRIOR`): the data
+dominate where they determine the camera, else the priors do, as `PlaneCamera.focal_sigma` shows. If
+the rig file gives a lens, only the pose is estimated.
 
-The third coordinate is the height above the plane on the side of the camera, whichever way the
-plane's own axes turn: plane coordinates may be left-handed when seen from above
+The third coordinate is the height above the plane on the side of the camera, regardless of the
+orientation of the plane's axes: plane coordinates may be left-handed when seen from above
 (`PlaneCamera.mirrored`).
 """
 
@@ -35,15 +34,15 @@ from fingerpost.pointing import PlaneView
 Array = NDArray[np.float64]
 
 FOCAL_PRIOR = (1.1, math.log(2.0))
-"""Focal length of a camera nobody knows, as a share of the longer side of its image (a field of
-view of 49°), and the standard deviation of its logarithm: from 26° to 85° are one off."""
+"""Prior of an unknown focal length, relative to the longer side of the image (a field of view of
+49°), and standard deviation of its logarithm: 26° to 85° are within one."""
 
 PRINCIPAL_POINT_PRIOR = 0.02
-"""How far the principal point usually lies from the middle of the image, in u and in v, as a share
-of the longer side."""
+"""Standard deviation of the principal point from the image centre, in u and in v, relative to the
+longer side."""
 
 USABLE_FOCAL_SIGMA = 0.2
-"""Above this relative standard deviation a view does not tell its own focal length."""
+"""Relative standard deviation above which a view does not determine its own focal length."""
 
 LARGEST_PX = 100_000
 """Longest side of an image."""
@@ -64,21 +63,20 @@ class PlaneCamera:
     focal_px : (2,)
         Focal lengths along u and v; equal unless a lens says otherwise.
     principal_point_px : (2,)
-        Where the optical axis meets the image.
+        Intersection of the optical axis with the image.
     camera_from_plane : (3, 4)
-        From plane coordinates and height ``(X, Y, height)`` to the camera's (right, down,
-        forwards), in plane units. Its rotation is a reflection where `mirrored`.
+        Transform from plane coordinates and height ``(X, Y, height)`` to the camera's (right, down,
+        forwards), in plane units. Its rotation is a reflection if `mirrored`.
     lens
         Distortion of the view, if known.
     focal_sigma
-        Relative standard deviation of the focal length; 0 where a lens gives it. Around
-        `FOCAL_PRIOR`'s it is assumed rather than measured.
+        Relative standard deviation of the focal length; 0 if a lens gives it. If it is close to
+        that of `FOCAL_PRIOR`, the focal length is assumed rather than measured.
     misfit
-        χ² of the reference points and of what is known beforehand, about 1 if this is such a
-        camera. Far above, the plane's coordinates are not to scale or the image is cropped.
+        χ² per degree of freedom of reference points and priors, about 1 for a valid camera. Far
+        above, the plane's coordinates are not to scale or the image is cropped.
     mirrored
-        Whether plane coordinates turn clockwise from X to Y as the camera sees the plane from
-        above.
+        Whether plane coordinates turn clockwise from X to Y as seen by the camera from above.
     """
 
     size_px: tuple[int, int]
@@ -92,12 +90,12 @@ class PlaneCamera:
 
     @property
     def centre(self) -> Array:
-        """(3,) where the camera stands: X, Y and height [plane units]."""
+        """(3,) Camera centre: X, Y and height [plane units]."""
         return np.asarray(-self.camera_from_plane[:, :3].T @ self.camera_from_plane[:, 3])
 
     @property
     def axis(self) -> Array:
-        """(3,) unit vector along which it looks."""
+        """(3,) Unit vector of the optical axis."""
         return self.camera_from_plane[2, :3]
 
     @property
@@ -114,7 +112,7 @@ class PlaneCamera:
         return np.asarray(seen[..., :2] / depth * self.focal_px + self.principal_point_px)
 
     def shows(self, ideal_px: Array, border_px: float = 0.0) -> NDArray[np.bool_]:
-        """Whether the image holds ideal pixels (..., 2), `border_px` from its edge or more."""
+        """Whether ideal pixels (..., 2) lie in the image, at least `border_px` from its edge."""
         pictured = ideal_px
         if self.lens is not None:
             seen = np.isfinite(ideal_px).all(axis=-1, keepdims=True)
@@ -125,12 +123,12 @@ class PlaneCamera:
         return np.asarray(inside.all(axis=-1))
 
     def px_per_unit(self, point: Array) -> float:
-        """Pixels that a unit of length at a point (3,) takes when seen from aside."""
+        """Image length of a unit at a point (3,) perpendicular to the viewing ray [px]."""
         depth = float(self.axis @ (point - self.centre))
         return float(self.focal_px.mean()) / depth
 
     def moved(self, plane_from_plane: Array, about: Array) -> PlaneCamera:
-        """Return the camera, turned and scaled with everything around a point.
+        """Return the camera, rotated and scaled about a point.
 
         Parameters
         ----------
@@ -143,7 +141,7 @@ class PlaneCamera:
         return replace(self, camera_from_plane=np.column_stack([rotation, -rotation @ centre]))
 
     def zoomed(self, factor: float) -> PlaneCamera:
-        """Return the camera with a longer focal length; a lens known before is not known now."""
+        """Return the camera with a longer focal length, whose lens is then unknown."""
         return replace(self, focal_px=self.focal_px * factor, lens=None)
 
 
@@ -154,14 +152,14 @@ def recover_camera(
     *,
     sigma_px: float,
 ) -> PlaneCamera:
-    """Find the camera that sees the reference points where a view shows them.
+    """Estimate the camera from the reference points of a view.
 
     Parameters
     ----------
     plane_view
         The view, from its reference points.
     image_points_px : (N, 2)
-        Where its image shows them, in the order of ``plane_view.plane_points``, lens included.
+        Their images, in the order of ``plane_view.plane_points``, with lens distortion.
     size_px
         Width and height of the image, up to `LARGEST_PX`.
     sigma_px
@@ -174,8 +172,8 @@ def recover_camera(
     Raises
     ------
     InvalidInputError
-        A size out of range, points and view that do not belong together, or no camera that sees the
-        plane like this: coordinates that are far from true to scale.
+        A size out of range, points that do not belong to the view, or points inconsistent with any
+        camera: coordinates that are far from true to scale.
     """
     width, height = (in_range(side, "size_px", 1.0, LARGEST_PX) for side in size_px)
     sigma = in_range(sigma_px, "sigma_px", np.finfo(np.float64).tiny)
@@ -221,7 +219,7 @@ class _State:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """The most probable camera, as least squares: reference points first, then the priors."""
+    """Least-squares problem of the camera: residuals of the reference points, then priors."""
 
     plane: Array
     image_px: Array
@@ -233,7 +231,7 @@ class _Problem:
 
     @cached_property
     def unit(self) -> float:
-        """Length that shifts of the camera are measured in [plane units]."""
+        """Unit of length of the camera's translation [plane units]."""
         return float(1.0 / normalising_similarity(self.plane)[0, 0])
 
     @cached_property
@@ -243,7 +241,7 @@ class _Problem:
 
     @property
     def freedom(self) -> int:
-        """Equations beyond the unknowns: priors count as equations."""
+        """Degrees of freedom; priors count as equations."""
         return 2 * len(self.plane) - 6
 
     def intrinsics(self, state: _State) -> tuple[Array, Array]:
@@ -255,7 +253,7 @@ class _Problem:
         return np.full(2, focal), self.middle_px + state.offset_px
 
     def starts(self, image_from_plane: Array) -> list[_State]:
-        """Cameras to begin with: that of the two equations of a homography, and the usual one."""
+        """Return initial cameras: the solution of a homography's two equations, and the prior."""
         plane_from_centred = np.eye(3)
         plane_from_centred[:2, 2] = self.plane.mean(axis=0)
         T = image_from_plane @ plane_from_centred
@@ -287,7 +285,7 @@ class _Problem:
         if columns[2, 2] < 0.0:
             columns = -columns  # the plane is in front
         first, second = columns[:, 0], columns[:, 1]
-        # The height counts towards the camera: its centre −Rᵀt is at r₃·t < 0.
+        # The height is positive towards the camera: its centre −Rᵀt is at r₃·t < 0.
         up = np.cross(first, second)
         up *= -np.copysign(1.0, up @ columns[:, 2])
         U, _, Vt = np.linalg.svd(np.column_stack([first, second, up]))
@@ -296,9 +294,9 @@ class _Problem:
     def residuals(self, state: _State) -> tuple[Array, Array]:
         """Whitened residuals, and their derivative by a step of the parameters.
 
-        The parameters are the logarithm of the focal length, the principal point [px], a turn of
-        the camera [rad] and a shift of it [mean distance of the reference points]; with a lens,
-        the last two alone.
+        The parameters are the logarithm of the focal length, the principal point [px], a rotation
+        of the camera [rad] and a translation [mean distance of the reference points]; with a lens,
+        only the last two.
         """
         focal, centre = self.intrinsics(state)
         turned = self.points @ state.pose[:, :3].T

@@ -1,8 +1,8 @@
 """A picture of advice: the map of predicted errors, the cameras, and the directions of pointing.
 
-All three panels are plans seen from above, turned alike: X points to the right, and Y up or down
-as it must for nothing to be mirrored. A direction in the third panel is the direction in which a
-hand points on the first two.
+All three panels are plans seen from above, with the same orientation: X points to the right, and Y
+up or down so that nothing is mirrored. A direction in the third panel is the pointing direction of
+a hand on the first two.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ _RAMP = np.array(
 )
 """Blue-green-red from small errors to large ones; brightness alone orders it up to the middle."""
 
-# The colours run over so many octaves of the error, the usual one in the middle.
+# Range of the colours in octaves of the error, with the typical one in the middle.
 _OCTAVES = 2.0
-# The map and the rose leave so much of their panel free around them.
+# Margins of the map and the rose in their panels.
 _MAP_BORDER = 0.12
 _ROSE_RADIUS = 0.36
-# The longest bar of the rose stands for so many times the usual error.
+# Error of the longest bar of the rose, relative to the typical error.
 _ROSE_REACH = 2.0
 _TICKS = (1.0, 2.0, 5.0)
 
@@ -96,7 +96,7 @@ def draw_advice(advice: Advice, path: Path) -> None:
 
 
 class _Scale:
-    """Colours of errors; without any error to show, there is nothing to mark."""
+    """Colours of errors; without an error there are no marks."""
 
     def __init__(self, usual: float, *, marked: bool) -> None:
         self.usual = usual
@@ -104,18 +104,18 @@ class _Scale:
 
     @classmethod
     def of(cls, advice: Advice) -> _Scale:
-        """Take the usual error of the map as the middle."""
+        """Return a scale with the typical error of the map in the middle."""
         errors = [cell.figures.percentile_95 for cell in advice.cells]
         known = [error for error in errors if math.isfinite(error) and error > 0.0]
         return cls(float(np.median(known)) if known else 1.0, marked=bool(known))
 
     def share(self, error: float) -> float:
-        """Place on the scale, 0 to 1."""
+        """Position on the scale, 0 to 1."""
         octaves = math.log2(max(error, 1e-12 * self.usual) / self.usual)
         return min(max(0.5 + octaves / (2.0 * _OCTAVES), 0.0), 1.0)
 
     def colour(self, error: float) -> Colour:
-        """Colour of an error; the panel's where there is none."""
+        """Colour of an error; the panel's without one."""
         if not math.isfinite(error):
             return PANEL
         place = self.share(error) * (len(_RAMP) - 1)
@@ -158,7 +158,7 @@ def _draw_map(pixels: NDArray[np.uint8], advice: Advice, scale: _Scale) -> None:
         place = sheet.place(point)
         sheet.dot(place, 6.0, PAGE)
         sheet.dot(place, 4.5, INK)
-        if k < 2:  # the first two give the plane's axes away
+        if k < 2:  # the first two show the plane's axes
             away = place - sheet.place(advice.workspace.middle)
             where = place + 16.0 * np.sign(away)
             words = f"({point[0]:g}, {point[1]:g})"
@@ -188,7 +188,7 @@ def _draw_cameras(pixels: NDArray[np.uint8], advice: Advice, scale: _Scale) -> N
 
 
 def _mark(sheet: Sheet, ground: Array, colour: Colour, name: str, *, above: bool) -> None:
-    """Draw a camera where it stands, with its name."""
+    """Draw a camera at its position, with its name."""
     place = sheet.place(ground)
     sheet.dot(place, 10.0, PAGE)
     sheet.dot(place, 8.0, colour)
@@ -236,7 +236,7 @@ def _draw_rose(pixels: NDArray[np.uint8], advice: Advice, scale: _Scale) -> None
 def _draw_sector(
     sheet: Sheet, advice: Advice, direction: Direction, width: float, reach: float, scale: _Scale
 ) -> None:
-    """Draw one direction: a bar as long as the error; hatched to the rim where it is hopeless."""
+    """Draw one direction: a bar as long as the error; hatched to the rim if it is hopeless."""
     heading = float(advice.workspace.heading_rad(np.array(direction.azimuth_deg)))
     first, last = heading - 0.46 * width, heading + 0.46 * width
     opacity = 1.0 if direction.expected else 0.4
@@ -271,7 +271,7 @@ def _draw_scale(page: Sheet, scale: _Scale, unit: str) -> None:
 
 
 def _draw_camera_key(page: Sheet, advice: Advice) -> None:
-    """Say below the cameras how high and how far they stand."""
+    """Write height and distance of the cameras below them."""
     left, baseline = 2 * _MARGIN_PX + _PANEL_PX, _PANEL_TOP_PX + _PANEL_PX + 30
     begin = float(left)
     standing = [
@@ -309,7 +309,7 @@ def _notes(advice: Advice) -> list[tuple[str, Colour]]:
 
 
 def _plan(pixels: NDArray[np.uint8], advice: Advice, points: Array, border: float) -> Sheet:
-    """Sheet on which a panel shows all of some points of the plane."""
+    """Sheet of a panel that shows some points of the plane completely."""
     lower, upper = points.min(axis=0), points.max(axis=0)
     scale = _PANEL_PX * (1.0 - 2.0 * border) / float((upper - lower).max())
     matrix = _turned(advice, scale, np.full(2, _PANEL_PX / 2))

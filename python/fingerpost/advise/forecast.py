@@ -1,10 +1,10 @@
 """Predicted covariance of the indicated point of a pose.
 
-A pose of the finger is projected into every recovered camera. Its line there gets the covariance
-that two straight flanks of that length in pixels allow (`fingerpost.experiment.bound`), divided by
-the share of it that the tracker reaches; the rest is `fingerpost.pointing.indicated_point` itself,
-which adds reference points and bias allowance, and says `ill_conditioned` where it would say so of
-a measured hand. No picture is taken and nothing is drawn at random.
+A pose of the finger is projected into every recovered camera. The covariance of its line there is
+the bound for two straight flanks of that length in pixels (`fingerpost.experiment.bound`), divided
+by the tracker's efficiency; the rest is `fingerpost.pointing.indicated_point` itself, which adds
+reference points and bias allowance, and returns `ill_conditioned` as for a measured hand. No
+pictures and no random numbers are involved.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from fingerpost.pointing import FingerLine, PlaneView, Status, indicated_point
 Array = NDArray[np.float64]
 
 SHORTEST_FLANK_PX = 10.0
-"""A finger whose flanks are shorter in the image has no direction that a tracker could tell."""
+"""Length of the flanks in the image below which a tracker cannot measure the finger's direction."""
 
 # Bisections of a radius: to 10⁻⁷ of its greatest value.
 _RADIUS_STEPS = 24
@@ -38,34 +38,34 @@ class Doubt(StrEnum):
     """Why a pose will have no point."""
 
     OUT_OF_VIEW = "out_of_view"
-    """Fewer than two images hold the whole finger."""
+    """The whole finger is inside fewer than two images."""
     END_ON = "end_on"
-    """Fewer than two cameras see the finger from aside."""
+    """Fewer than two cameras see the finger from the side."""
     TOO_SHORT = "too_short"
-    """The finger takes fewer than `SHORTEST_FLANK_PX` in the image."""
+    """The finger is shorter than `SHORTEST_FLANK_PX` in the image."""
     COPLANAR = "coplanar"
-    """The finger lies so nearly in one plane with the cameras that their lines run parallel on the
-    working plane: `ill_conditioned`."""
+    """The finger is so nearly coplanar with the cameras that the constraint lines are almost
+    parallel: `ill_conditioned`."""
     BEHIND = "behind"
-    """A camera does not see the plane where the finger points."""
+    """A camera does not see the indicated point of the plane."""
 
 
 @dataclass(frozen=True, eq=False)
 class Figures:
-    """What is predicted for a group of poses.
+    """Prediction for a group of poses.
 
     Attributes
     ----------
     poses
-        How many.
+        Number of poses.
     in_view
-        Share of them that two images or more hold as a whole, 0 to 1.
+        Share of them that are completely inside two images or more, 0 to 1.
     hopeless
-        Share of those in view that will have no point, 0 to 1; NaN if none is in view.
+        Share of those in view without a point, 0 to 1; NaN if none is in view.
     doubts
         The same for each reason.
     rms, median, percentile_95
-        Of the error's length, of the poses with a point [plane units]; NaN if there is none.
+        Statistics of the error's length over the poses with a point [plane units]; NaN without any.
     crossing_rad
         Median angle between the constraint lines.
     """
@@ -82,22 +82,22 @@ class Figures:
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """What is predicted for P poses seen by V views.
+    """Prediction for P poses in V views.
 
     Attributes
     ----------
     doubt : (P,) of Doubt or None
-        None where there will be a point.
+        Reason for the absence of a point; None with a point.
     covariance : (P, 2, 2)
-        Of the indicated point [plane units²]; NaN where there is none.
+        Covariance of the indicated point [plane units²]; NaN without one.
     crossing_rad : (P,)
-        Between the constraint lines; NaN without two.
+        Angle between the constraint lines; NaN without two.
     length_px : (P, V)
-        Of the flanks; NaN behind a camera.
+        Length of the flanks; NaN behind a camera.
     ray_rad : (P, V)
-        Between the finger and the view ray, from 0 to π/2.
+        Angle between the finger and the viewing ray, from 0 to π/2.
     inside : (P, V)
-        Whether the image holds the whole finger.
+        Whether the whole finger is inside the image.
     """
 
     doubt: NDArray[np.object_]
@@ -109,16 +109,16 @@ class Forecast:
 
     @property
     def answered(self) -> NDArray[np.bool_]:
-        """(P,) where there will be a point."""
+        """(P,) Whether there is a point."""
         return np.array([doubt is None for doubt in self.doubt], dtype=np.bool_)
 
     @property
     def in_view(self) -> NDArray[np.bool_]:
-        """(P,) where two images or more hold the whole finger."""
+        """(P,) Whether the whole finger is inside two images or more."""
         return np.array([doubt is not Doubt.OUT_OF_VIEW for doubt in self.doubt], dtype=np.bool_)
 
     def figures(self, chosen: NDArray[np.bool_] | slice = slice(None)) -> Figures:
-        """Sum up the poses chosen."""
+        """Return the figures of chosen poses."""
         answered, in_view, doubt = self.answered[chosen], self.in_view[chosen], self.doubt[chosen]
         seen = int(in_view.sum())
         shares = {
@@ -141,10 +141,10 @@ class Forecast:
         )
 
     def typical_error(self, chosen: NDArray[np.bool_], limit: float) -> float:
-        """Geometric mean of the RMS errors of poses, one without a point counting as `limit`.
+        """Geometric mean of the RMS errors of poses, with `limit` for those without a point.
 
-        It weighs a halved error alike wherever it is halved, and a pose that gets its point above
-        all: what cameras are compared by.
+        Halving an error has the same weight at any size, and gaining a point has the greatest: this
+        is the criterion by which cameras are compared.
         """
         rms = np.full(len(self.doubt), limit)
         answered = self.answered
@@ -160,14 +160,14 @@ def predict(
     options: AdviceOptions,
     unit_mm: float,
 ) -> Forecast:
-    """Forecast poses.
+    """Predict the points of poses.
 
     Parameters
     ----------
     poses
-        What to expect.
+        The expected poses.
     cameras
-        At least two.
+        At least two cameras.
     plane_points : (N, 2)
         The reference points.
     options
@@ -188,28 +188,28 @@ def predict(
         np.stack([getattr(each, k) for each in seen], axis=1) for k in ("length_px", "ray_rad")
     )
     inside = np.stack([each.inside for each in seen], axis=1)
-    aside = ray >= math.radians(options.poses.view_ray_deg)
-    usable = inside & aside & (length >= SHORTEST_FLANK_PX)
+    lateral = ray >= math.radians(options.poses.view_ray_deg)
+    usable = inside & lateral & (length >= SHORTEST_FLANK_PX)
     count = len(poses)
     doubt = np.full(count, None, dtype=object)
     covariance = np.full((count, 2, 2), np.nan)
     crossing = np.full(count, np.nan)
     for i in range(count):
         if usable[i].sum() < 2:
-            doubt[i] = _unseen(inside[i], aside[i])
+            doubt[i] = _unseen(inside[i], lateral[i])
             continue
         lines = [each.line(i) if usable[i, k] else Status.LOST for k, each in enumerate(seen)]
         fix = indicated_point(lines, plane_views, time_s=0.0, options=options.pointing)
         crossing[i] = math.nan if fix.crossing_angle_rad is None else fix.crossing_angle_rad
         if fix.point is None:
-            doubt[i] = _untold(poses.target[i], plane_views)
+            doubt[i] = _without_point(poses.target[i], plane_views)
         else:
             covariance[i] = fix.covariance
     return Forecast(doubt, covariance, crossing, length, ray, inside)
 
 
 def ideal_view(camera: PlaneCamera, plane_points: Array, sigma_px: float) -> PlaneView:
-    """How a camera sees the plane, in the pixels of the ideal pinhole.
+    """Return a camera's homography from the plane, in pixels of the ideal pinhole.
 
     Raises
     ------
@@ -221,7 +221,7 @@ def ideal_view(camera: PlaneCamera, plane_points: Array, sigma_px: float) -> Pla
 
 
 def error_radius(covariance: Array, probability: float) -> float:
-    """Distance within which points with Gaussian errors lie with a probability, taken together.
+    """Return the radius that contains a given share of Gaussian errors of several points.
 
     For an error ``Λ^½ r (cos φ, sin φ)`` with r² twice an exponential and φ uniform,
     ``P(|e| > R) = mean over φ of exp(−R² / 2(λ₁ cos² φ + λ₂ sin² φ))``; averaged over the points,
@@ -230,7 +230,7 @@ def error_radius(covariance: Array, probability: float) -> float:
     Parameters
     ----------
     covariance : (P, 2, 2)
-        One per point; NaN is the answer to none.
+        One per point; the result is NaN without any.
     probability
         Above 0, below 1.
     """
@@ -251,7 +251,7 @@ def error_radius(covariance: Array, probability: float) -> float:
 
 
 def without(options: AdviceOptions, part: str) -> AdviceOptions:
-    """Give options in which one part of the error is (nearly) absent.
+    """Return options in which one part of the error is (nearly) absent.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def without(options: AdviceOptions, part: str) -> AdviceOptions:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """P poses as one camera sees them."""
+    """P poses in one camera."""
 
     anchor_px: Array
     angle_rad: Array
@@ -298,7 +298,7 @@ class _Seen:
 
 def _seen_by(camera: PlaneCamera, poses: Poses, options: AdviceOptions, unit_mm: float) -> _Seen:
     length, radius = options.length_mm / unit_mm, options.diameter_mm / 2 / unit_mm
-    # Flanks run from the knuckle to where the round end of the finger begins.
+    # Flanks extend from the knuckle to the start of the finger's round end.
     base, end = poses.tip - length * poses.direction, poses.tip - radius * poses.direction
     base_px, end_px, tip_px = (camera.project(points) for points in (base, end, poses.tip))
     along = end_px - base_px
@@ -311,7 +311,7 @@ def _seen_by(camera: PlaneCamera, poses: Poses, options: AdviceOptions, unit_mm:
     moments = np.zeros((len(poses), 2, 3))
     moments[..., 0], moments[..., 2] = flank_px[:, None], flank_px[:, None] ** 3 / 12.0
     information = edge_information(options.contrast, options.noise, options.blur_px)
-    # Where there are no flanks there is no line; the identity keeps the arithmetic quiet.
+    # Without flanks there is no line; the identity avoids warnings.
     moments[~(flank_px > 0.0)] = np.array([1.0, 0.0, 1.0])
     return _Seen(
         anchor_px=(base_px + end_px) / 2,
@@ -325,14 +325,14 @@ def _seen_by(camera: PlaneCamera, poses: Poses, options: AdviceOptions, unit_mm:
     )
 
 
-def _unseen(inside: NDArray[np.bool_], aside: NDArray[np.bool_]) -> Doubt:
-    """Why a pose is not seen by two views."""
+def _unseen(inside: NDArray[np.bool_], lateral: NDArray[np.bool_]) -> Doubt:
+    """Return why a pose is not seen by two views."""
     if inside.sum() < 2:
         return Doubt.OUT_OF_VIEW
-    return Doubt.END_ON if (inside & aside).sum() < 2 else Doubt.TOO_SHORT
+    return Doubt.END_ON if (inside & lateral).sum() < 2 else Doubt.TOO_SHORT
 
 
-def _untold(target: Array, plane_views: Sequence[PlaneView]) -> Doubt:
-    """Why a pose that is seen will have no point."""
+def _without_point(target: Array, plane_views: Sequence[PlaneView]) -> Doubt:
+    """Return why a visible pose has no point."""
     hidden = any(np.isnan(view.project(target)).any() for view in plane_views)
     return Doubt.BEHIND if hidden else Doubt.COPLANAR

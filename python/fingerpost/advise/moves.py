@@ -1,9 +1,9 @@
-"""Which one camera to move, and what that is worth.
+"""Evaluation of moves of one camera.
 
-Every view in turn is carried around the workspace, raised or lowered, brought nearer or further
-away, and zoomed, while it keeps looking at the same spot; the poses are forecast anew. Moves are
-compared by the typical error (`Forecast.typical_error`) of the poses that were in view before: a
-move cannot win by showing other poses, but it loses those that it no longer shows.
+Each camera in turn is moved around the workspace, raised or lowered, brought nearer or further
+away, and zoomed, with a fixed aim; the poses are predicted again. Moves are compared by the typical
+error (`Forecast.typical_error`) of the poses that were in view before: a move gains nothing by
+other poses, but loses those that are no longer in view.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from fingerpost.advise.poses import Poses, Workspace
 Array = NDArray[np.float64]
 
 ELEVATIONS_DEG = (15.0, 75.0)
-"""Cameras are not moved below or above these: lower, the plane is seen edge-on; higher, an arm
-hides the hand."""
+"""Range of elevations of moved cameras: lower, the plane is seen edge-on; higher, an arm hides the
+hand."""
 
 WORTHWHILE_SHARE = 0.9
-"""A move is recommended that brings the typical error below this share of what it was."""
+"""Ratio of the typical errors after and before, below which a move is recommended."""
 
 _TURNS_DEG = (-60.0, -45.0, -30.0, -15.0, 15.0, 30.0, 45.0, 60.0)
 _RAISES_DEG = (-20.0, -10.0, 10.0, 20.0)
 _DISTANCES = (0.5, 0.7, 1.4)
 _ZOOMS = (0.7, 1.4, 2.0)
 
-# Straight above the workspace, up and down mean nothing.
+# Straight above the workspace, elevation is undefined.
 _LEAST_LEVEL = 1e-9
 
 
 class Way(StrEnum):
-    """How a camera is moved."""
+    """Kind of a camera's move."""
 
     TURN = "turn"
     """Around the workspace [deg], positive to the right as seen from behind the camera."""
@@ -54,18 +54,18 @@ class Way(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """One move of one camera, and what is predicted of it.
+    """One move of one camera, and its prediction.
 
     Attributes
     ----------
     view
         Index of the view.
     way, amount
-        What is done to it.
+        Kind and size of the move.
     camera
-        The camera afterwards.
+        The camera after the move.
     typical_error
-        Of all poses that were in view before [plane units].
+        Typical error of all poses that were in view before [plane units].
     before, after
         Figures of the poses that were in view before.
     """
@@ -79,7 +79,7 @@ class Move:
     after: Figures
 
     def words(self, name: str) -> str:
-        """Say what to do, as an order."""
+        """Return an instruction for the move."""
         amount = abs(self.amount)
         match self.way:
             case Way.TURN:
@@ -97,16 +97,16 @@ class Move:
 
 @dataclass(frozen=True, eq=False)
 class Bearings:
-    """Where a camera stands, seen from the middle of the workspace.
+    """Direction and distance of a camera from the middle of the workspace.
 
     Attributes
     ----------
     azimuth_deg
         −180 to 180, from "towards the cameras", positive anticlockwise seen from above.
     elevation_deg
-        Above the plane, 0 to 90.
+        Elevation above the plane, 0 to 90.
     distance
-        [plane units]
+        Distance [plane units].
     """
 
     azimuth_deg: float
@@ -137,18 +137,18 @@ def try_moves(
     Parameters
     ----------
     poses
-        What to expect.
+        The expected poses.
     plane_points : (N, 2)
-        The reference points; a move that a camera sees fewer of than before is none.
+        The reference points; moves after which a camera sees fewer of them are excluded.
     progress
         Called with the number of moves done and of all.
 
     Returns
     -------
     float
-        Typical error as the cameras stand [plane units].
+        Typical error of the present cameras [plane units].
     list of Move
-        The best first.
+        Moves, the best first.
     """
     now = predict(poses, cameras, plane_points, options, unit_mm)
     limit = options.pointing.max_sigma * float(np.ptp(plane_points, axis=0).max())
@@ -172,11 +172,11 @@ def try_moves(
 
 
 def _moves(camera: PlaneCamera, workspace: Workspace) -> Iterator[tuple[Way, float, PlaneCamera]]:
-    """Everything that is tried with one camera."""
+    """Yield all moves of one camera."""
     middle = np.append(workspace.middle, 0.0)
     elevation = Bearings.of(camera, workspace).elevation_deg
     up = np.array([0.0, 0.0, 1.0])
-    # Standing behind the camera, moving right goes round anticlockwise.
+    # As seen from behind the camera, a move to the right is anticlockwise.
     for turn in _TURNS_DEG:
         angle = workspace.anticlockwise * math.radians(turn)
         yield Way.TURN, turn, camera.moved(_rotation(up, angle), middle)
@@ -194,7 +194,7 @@ def _moves(camera: PlaneCamera, workspace: Workspace) -> Iterator[tuple[Way, flo
 
 
 def _shows_as_much(moved: PlaneCamera, camera: PlaneCamera, plane_points: Array) -> bool:
-    """Whether all reference points stay in front, and in the image those that it held."""
+    """Whether all reference points stay in front, and those inside the image stay inside."""
     points = np.pad(plane_points, ((0, 0), (0, 1)))
     before, after = camera.project(points), moved.project(points)
     kept = moved.shows(after) | ~camera.shows(before)

@@ -12,20 +12,20 @@ from fingerpost.pointing import UNSEEN_HAND, PointingOptions
 from fingerpost.simulate import PoseLimits
 
 LEAST = 1e-6
-"""Noise and errors of reference points as good as none [grey levels, px]; their squares are still
-far from where floats end."""
+"""Negligible noise and error of reference points [grey levels, px], whose squares are still far
+above the least float."""
 
 STRICT = replace(UNSEEN_HAND, max_sigma=0.05)
-"""Cameras should stand better than the least with which a hand can be followed."""
+"""Stricter options than those of tracking, so that cameras are placed well."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AdviceOptions:
-    """The defaults are the hand of the accuracy experiment in an ordinary picture."""
+    """Options; the defaults are the hand of the accuracy experiment in an ordinary picture."""
 
     poses: PoseLimits = field(default_factory=PoseLimits)
-    """Hover, slant and azimuth to expect, the angle to the view ray below which a finger is seen
-    end-on, and the border that it keeps from the edge of an image."""
+    """Expected hover, slant and azimuth, the angle to the viewing ray below which a finger is seen
+    end-on, and its least distance from the edge of an image."""
 
     length_mm: float = 80.0
     """Straight, visible part of the index finger [mm], 1 to 1000."""
@@ -34,7 +34,7 @@ class AdviceOptions:
     """Its thickness [mm], 0.1 to 1000, below `length_mm`."""
 
     contrast: float = 80.0
-    """Finger against background [grey levels], 0.1 to 255."""
+    """Contrast of the finger against the background [grey levels], 0.1 to 255."""
 
     noise: float = 2.0
     """Standard deviation of the image noise [grey levels], `LEAST` to 255."""
@@ -43,26 +43,26 @@ class AdviceOptions:
     """Standard deviation of the point spread function [px], 0 to 100."""
 
     efficiency: float = 0.6
-    """Least possible variance of a finger line's angle over the tracker's, 0.001 to 1.
+    """Ratio of the least possible variance of a finger line's angle to the tracker's, 0.001 to 1.
     `fingerpost experiment` measures it: "angle variance, bound / meas."."""
 
     reference_sigma_px: float = DEFAULT_REFERENCE_SIGMA_PX
     """Standard deviation of each reference point in u and in v [px], `LEAST` to 1000."""
 
     pointing: PointingOptions = STRICT
-    """When a point counts as one, and the allowance for what is no noise."""
+    """Conditions for a point, and the allowance for bias."""
 
     unit_mm: float | None = None
-    """Length of a plane unit [mm], 1e-6 to 1e6; None: what the unit's name says."""
+    """Length of a plane unit [mm], 1e-6 to 1e6; None: by the unit's name."""
 
     cells: int = 7
     """Cells of the map along the longer side of the workspace, 2 to 50."""
 
     sectors: int = 36
-    """Directions of pointing that are distinguished, 8 to 360."""
+    """Number of pointing directions, 8 to 360."""
 
     samples: int = 300
-    """Poses by which moves of the cameras are compared, 10 to 100,000."""
+    """Number of poses by which moves of the cameras are compared, 10 to 100,000."""
 
     def __post_init__(self) -> None:
         for name, low, high in (

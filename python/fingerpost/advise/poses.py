@@ -1,9 +1,9 @@
-"""The hand poses that are to be expected over the workspace.
+"""Expected hand poses over the workspace.
 
-A pose is a target on the plane, a height of the fingertip above it, a slant below the horizontal
-and an azimuth: the direction of pointing on the plane, 0 towards the cameras and positive
-anticlockwise seen from above. Poses fill their ranges evenly rather than at random: an additive
-recurrence (Roberts 2018, after Weyl) leaves no gaps, and the same question gets the same answer.
+A pose consists of a target on the plane, a height of the fingertip above it, a slant below the
+horizontal and an azimuth: the pointing direction on the plane, 0 towards the cameras and positive
+anticlockwise seen from above. Poses fill their ranges evenly rather than randomly: an additive
+recurrence (Roberts 2018, after Weyl) leaves no gaps, and results are reproducible.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _TOO_CLOSE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """The part of the plane inside the reference points, and which way the cameras are.
+    """The part of the plane inside the reference points, and the direction of the cameras.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Workspace:
     towards_rad
         Direction towards the cameras in plane coordinates, from X towards Y [rad].
     anticlockwise
-        +1 where X turns to Y anticlockwise as seen from above, else −1.
+        +1 if X turns to Y anticlockwise as seen from above, else −1.
     """
 
     outline: Array
@@ -43,17 +43,17 @@ class Workspace:
 
     @classmethod
     def between(cls, plane_points: Array, cameras: Sequence[PlaneCamera]) -> Workspace:
-        """Workspace of reference points that some cameras look at."""
+        """Return the workspace of reference points seen by some cameras."""
         import cv2
 
-        # OpenCV takes single precision: what it orders, it orders by index.
+        # OpenCV uses single precision; the hull is returned by indices.
         lower, extent = plane_points.min(axis=0), np.ptp(plane_points, axis=0)
         unit = ((plane_points - lower) / extent).astype(np.float32)
         hull = cv2.convexHull(unit, returnPoints=False).ravel()
         outline = plane_points[hull]
         standing = np.mean([camera.centre[:2] for camera in cameras], axis=0)
         away = standing - (outline.min(axis=0) + outline.max(axis=0)) / 2
-        # Among cameras on all sides, or straight above, no direction is towards them.
+        # With cameras on all sides, or straight above, the direction towards them is undefined.
         far = np.hypot(*away) > _TOO_CLOSE * extent.max()
         towards = math.atan2(away[1], away[0]) if far else -math.pi / 2
         return cls(outline, towards, -1.0 if cameras[0].mirrored else 1.0)
@@ -64,7 +64,7 @@ class Workspace:
         return np.asarray((self.outline.min(axis=0) + self.outline.max(axis=0)) / 2)
 
     def contains(self, points: Array) -> NDArray[np.bool_]:
-        """Whether points (..., 2) lie inside the outline or on it."""
+        """Whether points (..., 2) are inside the outline or on it."""
         side = np.roll(self.outline, -1, axis=0) - self.outline
         offset = points[..., None, :] - self.outline
         turn = side[:, 0] * offset[..., 1] - side[:, 1] * offset[..., 0]
@@ -72,9 +72,9 @@ class Workspace:
         return np.asarray((turn >= -slack).all(axis=-1) | (turn <= slack).all(axis=-1))
 
     def cells(self, count: int) -> tuple[Array, float]:
-        """Middles (N, 2) of the square cells whose middle lies inside, and a cell's side.
+        """Return centres (N, 2) of the square cells whose centre is inside, and a cell's side.
 
-        `count` cells stand along the longer side of the bounding box.
+        There are `count` cells along the longer side of the bounding box.
         """
         lower, upper = self.outline.min(axis=0), self.outline.max(axis=0)
         side = float((upper - lower).max()) / count
@@ -97,7 +97,7 @@ class Poses:
     Attributes
     ----------
     target : (P, 2)
-        Where they point [plane units].
+        Indicated points [plane units].
     azimuth_deg : (P,)
         −180 to 180, 0 towards the cameras.
     tip : (P, 3)
@@ -123,7 +123,7 @@ class Poses:
         slant_deg: Array,
         hover: Array,
     ) -> Poses:
-        """Poses (P,) that point at targets (P, 2) with the tip so high above the plane."""
+        """Return poses (P,) that point at targets (P, 2), the tip at a height above the plane."""
         slant, heading = np.radians(slant_deg), workspace.heading_rad(azimuth_deg)
         direction = np.stack(
             [np.cos(slant) * np.cos(heading), np.cos(slant) * np.sin(heading), -np.sin(slant)],
@@ -138,7 +138,7 @@ class Poses:
     def expected(
         cls, workspace: Workspace, limits: PoseLimits, unit_mm: float, count: int
     ) -> Poses:
-        """Spread about `count` poses evenly over the workspace and the limits.
+        """Distribute about `count` poses evenly over the workspace and the limits.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ class Poses:
             Length of a plane unit [mm].
         """
         lower, upper = workspace.outline.min(axis=0), workspace.outline.max(axis=0)
-        # Of targets in the bounding box those in the outline remain.
+        # Of the targets in the bounding box, only those in the outline are kept.
         share = max(
             float(np.mean(workspace.contains(lower + _even(512, 2) * (upper - lower)))), 1e-2
         )
@@ -169,9 +169,9 @@ class Poses:
         sectors: int,
         each: int,
     ) -> tuple[Poses, NDArray[np.intp], NDArray[np.intp]]:
-        """Poses from every cell in every direction, with the cell and the sector of each.
+        """Return poses for every cell and direction, with the cell and the sector of each.
 
-        `cells` is as `Workspace.cells` gives them; sector k is centred on ``k · 360° / sectors``.
+        `cells` is the result of `Workspace.cells`; sector k is centred on ``k · 360° / sectors``.
         """
         middles, side = cells
         cell, sector = (

@@ -1,4 +1,4 @@
-"""Advice as lines of text, and for programs."""
+"""Advice as lines of text, and as JSON values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOVES_SHOWN = 5
 
 
 def table_lines(advice: Advice) -> Iterator[str]:
-    """Lay out advice for a person."""
+    """Yield advice as lines of text."""
     unit = advice.unit
     yield (
         f"{'view':<12}{'azimuth':>9}{'elevation':>11}{'distance':>10} {unit:<4}"
@@ -51,7 +51,7 @@ def table_lines(advice: Advice) -> Iterator[str]:
 
 
 def as_dict(advice: Advice) -> dict[str, Any]:
-    """Lay out advice for programs, fit for JSON."""
+    """Return advice as JSON values."""
     return {
         "unit": advice.unit,
         "views": [

@@ -41,7 +41,7 @@ BAD_INPUT = 2
 
 
 class _Commands(click.Group):
-    """Turns errors of ours into one line and an exit code; a traceback would be a bug's."""
+    """Turns fingerpost's errors into one line and an exit code; a traceback indicates a bug."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         try:
@@ -64,19 +64,19 @@ class _Commands(click.Group):
         except OSError as error:
             if not _is_of_output(error):
                 raise
-            # What is still held back goes nowhere: Python would try once more, and complain.
+            # Discard the buffered output: Python would try to write it again, and complain.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             _stop(f"standard output: cannot be written: {error.strerror}", FAILED)
 
 
 def _show_what_can_be_shown() -> None:
-    """Have standard output replace what its encoding lacks, as standard error does anyway."""
+    """Make stdout replace characters that its encoding lacks, as stderr does by default."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")
 
 
 def _is_of_output(error: OSError) -> bool:
-    """Whether an error is of what prints for all commands; the error itself names no stream."""
+    """Whether an error is of the output of all commands; the error itself names no stream."""
     *_, (frame, _) = traceback.walk_tb(error.__traceback__)
     return frame.f_code is click.echo.__code__
 
@@ -87,7 +87,7 @@ def _stop(message: str, code: int) -> NoReturn:
 
 
 def _show_version(context: click.Context, _option: click.Parameter, is_wanted: bool) -> None:
-    """Print what a bug report needs: the version in the first line, then what it stands on."""
+    """Print the data for a bug report: the version in the first line, then the dependencies."""
     if is_wanted and not context.resilient_parsing:
         versions = installed_versions()
         click.echo(f"fingerpost {versions.pop('fingerpost')}")
@@ -109,7 +109,7 @@ def _show_version(context: click.Context, _option: click.Parameter, is_wanted: b
 @click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")
 def main(verbose: bool) -> None:
     """Point at a table and a program knows where, and how sure that is."""
-    # A damaged file is reported in one line of ours; what OpenCV says of it helps nobody.
+    # A damaged file is reported in one line of fingerpost's; OpenCV's messages do not help.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     logging.basicConfig(
         level=logging.DEBUG if verbose else logging.WARNING, format="%(levelname)s: %(message)s"

@@ -79,7 +79,7 @@ def advise(
 
 
 def _options(device: str, settings: dict[str, Any]) -> AdviceOptions:
-    """Lay what was given over the defaults, which stand where the options are defined."""
+    """Replace defaults by the given options; the defaults are defined with the options."""
     from fingerpost.advise import AdviceOptions
     from fingerpost.pointing import DEFAULT_OPTIONS, UNSEEN_HAND
     from fingerpost.simulate import PoseLimits
@@ -98,7 +98,7 @@ def _options(device: str, settings: dict[str, Any]) -> AdviceOptions:
 
 
 def _sizes(rig: Rig) -> list[tuple[int, int]]:
-    """Sizes of the views' images, from the first frame of each."""
+    """Return the sizes of the views' images, from the first frame of each."""
     from fingerpost.capture import Frame, open_views
     from fingerpost.errors import InvalidInputError
 

@@ -1,4 +1,4 @@
-"""What every command that moves a robot shares: consent, signals, homing, keys, the log."""
+"""Common parts of the commands that move a robot: consent, signals, homing, keys, the log."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ Made = TypeVar("Made")
 Seconds = Callable[[click.Context, click.Parameter, float | None], float | None]
 
 LONGEST_HOMING_S = 3600.0
-"""Nobody watches an arm home for longer [s]."""
+"""Largest time-out of homing [s]; nobody watches it for longer."""
 
 LONGEST_ABSENCE_S = 60.0
-"""An operator or a fix not heard of for longer is gone, whatever somebody types [s]."""
+"""Largest time-out for an absent operator or missing fixes [s]."""
 
 
 def seconds(longest_s: float) -> Seconds:
-    """Return what checks a time-out above 0; `click.FloatRange` would let NaN pass.
+    """Return a check of a time-out above 0; `click.FloatRange` would let NaN pass.
 
     Parameters
     ----------
     longest_s
-        The most that is right [s].
+        Largest valid value [s].
     """
 
     def check(
@@ -53,7 +53,7 @@ def seconds(longest_s: float) -> Seconds:
 
 
 def grouped(options: Sequence[Callable[[Any], Any]]) -> Callable[[Command], Command]:
-    """Return what gives a command options, in their order."""
+    """Return a decorator that adds options to a command, in their order."""
 
     def given(command: Command) -> Command:
         for option in reversed(options):
@@ -82,7 +82,7 @@ moving_options = grouped(
         ),
     ]
 )
-"""Gives a command the options of everything that moves a robot, wherever its operator is."""
+"""Adds the options of every command that moves a robot, wherever its operator is."""
 
 arming_options = grouped(
     [
@@ -99,27 +99,27 @@ arming_options = grouped(
         ),
     ]
 )
-"""Gives a command the options of everything that moves a robot, its operator at a terminal."""
+"""Adds the options of every command that moves a robot with its operator at a terminal."""
 
 
 def laid_over(kind: Callable[..., Made], given: Mapping[str, Any], **fields: str) -> Made:
-    """Lay what was given over the defaults, which stand where the options are defined.
+    """Replace defaults by the given options; the defaults are defined with the options.
 
     Parameters
     ----------
     kind
         Makes and checks the options.
     given
-        The values of the command line, by the names of its parameters; None is not given.
+        Values of the command line by parameter name; None means not given.
     **fields
-        For every field, the parameter that gives it.
+        The parameter for each field.
 
     Raises
     ------
     click.BadParameter
-        A value that the options do not take; the option of the command line is named.
+        A value that the options refuse; names the option of the command line.
     InvalidInputError
-        Values that are right each by itself, but not together.
+        Values that are valid separately, but not together.
     """
     named = {field: given[name] for field, name in fields.items() if given[name] is not None}
     try:
@@ -133,7 +133,7 @@ def laid_over(kind: Callable[..., Made], given: Mapping[str, Any], **fields: str
 
 
 def _wrong_alone(kind: Callable[..., object], named: Mapping[str, Any]) -> str | None:
-    """Return the first field that will not do beside the defaults either."""
+    """Return the first field that is invalid even with defaults for all others."""
     for field, value in named.items():
         try:
             kind(**{field: value})
@@ -143,19 +143,19 @@ def _wrong_alone(kind: Callable[..., object], named: Mapping[str, Any]) -> str |
 
 
 def has_terminal() -> bool:
-    """Whether somebody can type: standard input may be no terminal, or closed."""
+    """Whether input can be typed: standard input may be closed, or not be a terminal."""
     return sys.stdin is not None and sys.stdin.isatty()
 
 
 def need_consent(arm: bool, what: str) -> None:
-    """See that somebody wants the arm to move: by --arm, or by typing so on a terminal.
+    """Require consent to a motion of the arm: by --arm, or by an answer on a terminal.
 
     Raises
     ------
     click.UsageError
-        Neither.
+        There is neither --arm nor a terminal.
     click.Abort
-        The answer is another.
+        Consent is denied.
     """
     if arm:
         return
@@ -176,14 +176,14 @@ def open_log(stack: ExitStack, path: Path | None) -> RecordCallback | None:
 
 
 def show_homing(progress: HomingProgress) -> None:
-    """Tell on a terminal how far homing has come."""
+    """Show the progress of homing on a terminal."""
     if sys.stderr is not None and sys.stderr.isatty():
         line = f"homing {progress.elapsed_s:5.1f} s of at most {progress.timeout_s:.0f} s"
         click.echo(f"\r{line}  {progress.message}", nl=False, err=True)
 
 
 def home(robot: Robot, timeout_s: float) -> None:
-    """Home an arm that has just been connected."""
+    """Home a newly connected arm."""
     say("homing; the arm moves")
     with stopped_by_signals(robot):
         robot.home(show_homing, timeout_s=timeout_s)
@@ -191,12 +191,12 @@ def home(robot: Robot, timeout_s: float) -> None:
 
 @contextmanager
 def stopped_by_signals(robot: Robot) -> Iterator[None]:
-    """Stop an arm that no guard watches yet on every signal that ends or suspends the program."""
+    """Stop an arm without a guard on every signal that ends or suspends the program."""
     from fingerpost.robot import RobotError
     from fingerpost.robot.signals import stopping_on
 
     def stop(_name: str) -> None:
-        with suppress(RobotError):  # the program ends, or homing says why it cannot go on
+        with suppress(RobotError):  # the program ends, or homing reports the error
             robot.stop()
 
     with stopping_on(stop, *stopping_signals()):
@@ -210,12 +210,12 @@ def stopping_signals() -> list[signal.Signals]:
 
 
 def say(line: str) -> None:
-    """Say something to the operator, on stderr."""
+    """Print a message to the operator on stderr."""
     click.echo(line, err=True)
 
 
 @contextmanager
 def guarded(guard: Guard) -> Iterator[None]:
-    """Halt the arm on every signal that ends or suspends the program, and watch it meanwhile."""
+    """Run the guard, and halt the arm on every signal that ends or suspends the program."""
     with ending_orderly(), guard.signals(*stopping_signals()), guard.watching():
         yield

@@ -64,8 +64,8 @@ def batch(
     todo = tasks(rigs, settings_of(**options))
     with ending_as_interrupted(), ExitStack() as stack:
         cluster = None if dask is None else stack.enter_context(cluster_at(dask))
-        tell = stack.enter_context(counting("recordings"))
-        outcomes = run_batch(todo, folder, workers=workers, cluster=cluster, tell=tell)
+        report = stack.enter_context(counting("recordings"))
+        outcomes = run_batch(todo, folder, workers=workers, cluster=cluster, report=report)
     _write_table(folder / "batch.csv", outcomes)
     shares = [(one.task.name, one.statuses, one.reason) for one in outcomes]
     write_picture(folder / "batch.png", draw_shares(shares))

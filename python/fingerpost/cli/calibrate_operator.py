@@ -97,7 +97,7 @@ def calibrate_operator(
 def _read(
     rig_file: Path, rig: Rig, points: Path | None, visits: Path | None
 ) -> Iterator[tuple[str, Path]]:
-    """Give what is read, for `keep_apart`: the views only where no table stands for them."""
+    """Yield the input files for `keep_apart`: those of the views only without a table."""
     if points is None:
         yield from rig_files(rig_file, rig)
     else:
@@ -113,7 +113,7 @@ def _visits(
     visits: Path | None,
     asked: dict[str, Any],
 ) -> list[Visit]:
-    """Gather what was indicated, from wherever it is to come."""
+    """Collect the visits from the chosen input."""
     from fingerpost.calibration import Calibration, read_stays, visits_of
 
     stays = None if visits is None else read_stays(visits)
@@ -134,7 +134,7 @@ def _visits(
 
 
 def _complete(calibration: Calibration, count: int, dwell_s: float) -> list[Visit]:
-    """Return the visits of a session that has ended, however many there are, if they will do."""
+    """Return the visits of an ended session; refuse too few."""
     from fingerpost.habit import MIN_TARGETS
 
     seen, missing = calibration.visits, calibration.next
@@ -164,7 +164,7 @@ def _tabled(path: Path) -> Fixes:
 def _followed(
     rig: Rig, calibration: Calibration | None, give_up_after_s: float | None, stack: ExitStack
 ) -> Fixes:
-    """Follow the hand in the views; where cameras see it, say what to point at."""
+    """Follow the hand in the views; with cameras, prompt for the targets."""
     from fingerpost.capture import SourceKind, open_views, read_views
     from fingerpost.pipeline import Pointer, steps
 
@@ -196,7 +196,7 @@ def _prompted(
     pressed: deque[str],
     status: LiveStatus | None = None,
 ) -> Fixes:
-    """Give the fixes of steps, and between them take keys and say what to point at."""
+    """Yield the fixes of steps; between them, handle keys and prompt for the targets."""
     prompt.say()
     for step in followed:
         yield step.fix.time_s, step.fix.point
@@ -211,7 +211,7 @@ def _prompted(
 
 
 class _Prompt:
-    """Says which target is next, once."""
+    """Announces each next target once."""
 
     def __init__(self, calibration: Calibration, line: StatusLine | None, *, takes_key: bool):
         self._calibration = calibration
@@ -220,7 +220,7 @@ class _Prompt:
         self._said = -1
 
     def say(self) -> None:
-        """Say what to point at, if that is another target than before."""
+        """Announce the target to point at, if it has changed."""
         place, number = self._calibration.next, len(self._calibration.visits)
         if place is None or number == self._said:
             return
@@ -231,7 +231,7 @@ class _Prompt:
         )
 
     def refuse(self) -> None:
-        """Say that a key took nothing."""
+        """Report that a key was ignored for want of points."""
         self._print("no point just now: hold the hand so that two views follow it")
 
     def _print(self, words: str) -> None:
@@ -241,7 +241,7 @@ class _Prompt:
 
 
 def _summary(visits: Sequence[Visit], operator: Operator) -> list[str]:
-    """Return what was found, for a person."""
+    """Return the result as lines of text for a person."""
     import numpy as np
 
     habit, unit = operator.habit, operator.unit

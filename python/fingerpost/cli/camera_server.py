@@ -22,12 +22,12 @@ _SCHEME = "zenoh"
 
 
 def address_of(url: str) -> Address:
-    """Return where cameras are published: this machine listens there unless the URL says otherwise.
+    """Return the address to publish at: this machine listens there unless the URL says otherwise.
 
     Raises
     ------
     InvalidInputError
-        It is no address of zenoh.
+        It is not an address of zenoh.
     """
     from fingerpost.publishing.address import Address
 
@@ -43,7 +43,7 @@ def named(sources: Sequence[str]) -> dict[str, str | int]:
     Raises
     ------
     InvalidInputError
-        Two of one name.
+        Two cameras have the same name.
     """
     found: dict[str, str | int] = {}
     for given in sources:
@@ -57,12 +57,12 @@ def named(sources: Sequence[str]) -> dict[str, str | int]:
 
 
 def settings_of(settings: Sequence[str]) -> CameraSettings | None:
-    """Return what cameras are asked for; each of the settings is a line of TOML, as in a rig file.
+    """Return the settings of the cameras; each is a line of TOML, as in a rig file.
 
     Raises
     ------
     InvalidInputError
-        It is none, of an unknown key, or out of range.
+        A line is invalid, has an unknown key, or is out of range.
     """
     from fingerpost.config import CameraTable
 
@@ -84,16 +84,16 @@ def settings_of(settings: Sequence[str]) -> CameraSettings | None:
 def serve(
     sources: Mapping[str, str | int], address: Address, settings: CameraSettings | None = None
 ) -> None:
-    """Publish the newest pictures of cameras until Ctrl-C, or until one of them fails.
+    """Publish the newest images of cameras until Ctrl-C, or until one of them fails.
 
     Parameters
     ----------
     sources
-        As `fingerpost.capture.open_source` takes them, by name.
+        Sources for `fingerpost.capture.open_source`, by name.
     address
-        Where to, as `address_of` gives it.
+        Address, as returned by `address_of`.
     settings
-        What each of the cameras is asked for.
+        Requested settings of each camera.
     """
     from fingerpost.capture import Reading, SourceKind, open_views
     from fingerpost.publishing.over_zenoh import Zenoh
@@ -119,7 +119,7 @@ def serve(
 
 
 def rig_lines(address: Address, names: Sequence[str]) -> list[str]:
-    """Return what a rig file says elsewhere to have these cameras."""
+    """Return the lines of a rig file on another machine for these cameras."""
     from fingerpost.zenoh_link import DEFAULT_PORT
 
     place = f"{address.host}:{address.port_or(DEFAULT_PORT)}/{address.path or 'fingerpost'}"
@@ -157,7 +157,7 @@ def _serve(sources: Mapping[str, Source], link: Zenoh, counts: dict[str, int]) -
 
 
 def _sent(link: Zenoh, name: str, seen: object) -> int:
-    """Send a picture; return how many were sent: none of a loss, or while nobody is there."""
+    """Send an image; return the number sent: 0 for a loss, or without a receiver."""
     from fingerpost.capture import Frame
     from fingerpost.errors import CaptureError
 
@@ -165,6 +165,6 @@ def _sent(link: Zenoh, name: str, seen: object) -> int:
         return 0
     try:
         link.send_pictures([(name, seen)])
-    except CaptureError:  # a router that is to come
+    except CaptureError:  # the router is not there yet
         return 0
     return 1

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 NONE = "no camera found; plug one in, or name films, URLs or a pipe in the rig file"
 
-_SHOWN_MODES = 6  # as many as people read; --json has all
-_SETTLED_FRAMES = 10  # until the exposure of most cameras has
+_SHOWN_MODES = 6  # --json has all
+_SETTLED_FRAMES = 10  # after which the exposure of most cameras has settled
 _WIDTH_PX = 320
 
 
@@ -92,7 +92,7 @@ def cameras(
 
 
 def _lines(camera: Camera, picture: str | None, *, is_shared: bool) -> list[str]:
-    """Say what is known of a camera, for people; a name of its own where it shares its name."""
+    """Describe a camera in lines of text, with a unique name if cameras share its name."""
     lines = [f"camera {camera.number}   {camera.name}".rstrip()]
     lines += [f"    also {link}" for link in camera.links[:1] if is_shared]
     lines += [f"    {mode}" for mode in camera.modes[:_SHOWN_MODES]]
@@ -104,7 +104,7 @@ def _lines(camera: Camera, picture: str | None, *, is_shared: bool) -> list[str]
 
 
 def _thumbnail(camera: Camera, folder: Path) -> str | None:
-    """Write what a camera shows to a file; None, with a word on why, if that cannot be."""
+    """Write an image of a camera to a file; print the reason and return None on failure."""
     import cv2
 
     from fingerpost.capture import Frame, open_source

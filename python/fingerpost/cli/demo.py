@@ -11,7 +11,7 @@ import click
 from click.core import ParameterSource
 
 from fingerpost.cli.endings import ending_as_interrupted
-from fingerpost.cli.progress import telling, watched
+from fingerpost.cli.progress import reporting, watched
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
@@ -68,8 +68,8 @@ def demo(
         with ending_at_once():
             from fingerpost.closed_loop import run_robot_demo
 
-        with telling() as tell:
-            summary = run_robot_demo(output, seed=seed, max_frames=max_frames, tell=tell)
+        with reporting() as report:
+            summary = run_robot_demo(output, seed=seed, max_frames=max_frames, report=report)
         failed = bool(summary.problem)
     else:
         with ending_at_once():
@@ -89,7 +89,7 @@ def demo(
 
 
 def _refuse_others(context: click.Context) -> None:
-    """Refuse what is of no effect beside --live."""
+    """Refuse options that have no effect with --live."""
     allowed = {"live", "robot", "seed"} if context.params["robot"] else {"live"}
     for parameter in context.command.get_params(context):
         name = parameter.name or ""
@@ -120,5 +120,5 @@ def _show_cell(seed: int) -> None:
 
     with ending_as_interrupted(), Page("127.0.0.1", 0) as page:
         click.echo(page.address)
-        with telling() as tell:
-            operate_cell(page, seed=seed, tell=tell)
+        with reporting() as report:
+            operate_cell(page, seed=seed, report=report)

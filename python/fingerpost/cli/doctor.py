@@ -53,13 +53,13 @@ def doctor(rig_file: Path | None, frames: int | None, as_json: bool) -> None:
 
 
 def _surroundings() -> dict[str, str]:
-    """Look at what the machine has for fingerpost: cameras, and what draws the simulated robot."""
+    """Return the machine's cameras, and the renderer of the simulated robot."""
     try:
         from fingerpost.capture import list_cameras
         from fingerpost.closed_loop.engine import require_mujoco
 
         found = [camera.name or f"number {camera.number}" for camera in list_cameras()]
-    except ImportError:  # of OpenCV, which is broken: a finding of its own
+    except ImportError:  # OpenCV is broken: reported as another finding
         return {}
     cameras = ", ".join(found) or "none found"
     try:
@@ -70,7 +70,7 @@ def _surroundings() -> dict[str, str]:
 
 
 def _examined(rig_file: Path, frames: int | None) -> Diagnosis:
-    """Look at some frames of every view of a rig."""
+    """Examine some frames of every view of a rig."""
     with ending_at_once():
         need_opencv()
         from fingerpost.capture import Frame, open_views

@@ -12,7 +12,7 @@ from fingerpost.signals import ENDING_SIGNALS
 
 
 def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    # What the caller has the program ignore, as `nohup` does, it goes on to ignore.
+    # Signals that the caller has set to be ignored, as `nohup` does, remain ignored.
     before = {
         number: signal.signal(number, handler)
         for number in ENDING_SIGNALS
@@ -27,17 +27,17 @@ def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None
 
 @contextmanager
 def ending_orderly() -> Iterator[None]:
-    """Let signals that end the program unwind it, so that terminals and files are left whole."""
+    """Let signals that end the program unwind it, so that terminals and files are left intact."""
     yield from _handling(lambda number, _: sys.exit(128 + number))
 
 
 @contextmanager
 def ending_as_interrupted() -> Iterator[None]:
-    """Let signals that end the program do what Ctrl-C does, which leaves whole what is written."""
+    """Let signals that end the program act like Ctrl-C, which completes the written files."""
     yield from _handling(lambda _, frame: _interrupt(frame))
 
 
 def _interrupt(frame: FrameType | None) -> None:
-    """Do what Ctrl-C does, or would: a shell has its background jobs ignore SIGINT alone."""
+    """Act like Ctrl-C, even in background jobs of a shell, in which SIGINT alone is ignored."""
     handler = signal.getsignal(signal.SIGINT)
     (handler if callable(handler) else signal.default_int_handler)(signal.SIGINT, frame)

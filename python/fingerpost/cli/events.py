@@ -40,7 +40,7 @@ EVENT_OPTIONS = (
 
 
 def event_taker(stack: ExitStack, rig: Rig, path: Path, dwell_s: float) -> Callable[[Step], None]:
-    """Write what the hand does with targets; where somebody is at the keys, he may select too."""
+    """Write the events of the hand and the targets; on a terminal, a key may select as well."""
     from fingerpost.selection import Selector
 
     selector = Selector(rig.things, dwell_s=dwell_s)

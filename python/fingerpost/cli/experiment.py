@@ -1,4 +1,4 @@
-"""`fingerpost experiment`: how accurate it is, and how honest about that."""
+"""`fingerpost experiment`: accuracy, and coverage of the reported uncertainty."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def _guide(trials: int, seed: int, as_json: bool) -> None:
 
 
 def _refuse_beside(chosen: str, kept: set[str]) -> None:
-    """Refuse every given option that would be ignored beside the chosen one."""
+    """Refuse every given option that would be ignored with the chosen one."""
     context = click.get_current_context()
     for name in context.params:
         given = context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
@@ -167,7 +167,7 @@ def _refuse_beside(chosen: str, kept: set[str]) -> None:
 
 
 def _options(tracker: str, settings: dict[str, Any]) -> ExperimentOptions:
-    """Lay what was given over the defaults, which stand where the options are defined."""
+    """Replace defaults by the given options; the defaults are defined with the options."""
     with ending_at_once():
         need_opencv()
         from fingerpost.experiment import ExperimentOptions

@@ -1,4 +1,4 @@
-"""What `run` and `replay` have in common: a rig's views in, fixes out into tables and videos."""
+"""Common part of `run` and `replay`: a rig's views in, fixes out into tables and videos."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _OUT = click.Path(path_type=Path)
 
 @dataclass(frozen=True, kw_only=True)
 class Following:
-    """What a command was asked to do with the fixes; a parameter of it per attribute."""
+    """Requested uses of the fixes; one attribute per parameter of the command."""
 
     points: Path | None = None
     tracks: Path | None = None
@@ -74,11 +74,11 @@ class Following:
 
     @property
     def prints_lines(self) -> bool:
-        """Whether standard output gets lines of JSON, and nothing between them."""
+        """Whether standard output is lines of JSON only."""
         return self.as_json or self.events == STDOUT or prints_fixes(self.publish)
 
     def pointer(self, rig: Rig) -> Pointer:
-        """Return what follows a rig's views with these options."""
+        """Return the pointer for a rig's views with these options."""
         from fingerpost.pipeline import Pointer
 
         known = _reference_noise(rig, self.reference_sigma_px)
@@ -142,14 +142,14 @@ _OPTIONS = (
 
 
 def tracker_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the parameters of `settings_of`."""
+    """Add the parameters of `settings_of` to a command."""
     for option in reversed(_TRACKER_OPTIONS):
         command = option(command)
     return command
 
 
 def following_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options that are attributes of `Following`."""
+    """Add the options that are attributes of `Following` to a command."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
@@ -161,18 +161,18 @@ def follow(
     take: Callable[[Step], None] | None = None,
     closing_words: Callable[[], list[str]] = list,
 ) -> None:
-    """Follow the hand in all views of a rig; write and print what was asked for.
+    """Follow the hand in all views of a rig; write and print the requested output.
 
     Parameters
     ----------
     rig
         The rig.
     asked
-        What to do with the fixes.
+        Requested uses of the fixes.
     take
-        Takes every step as well.
+        Also called with every step.
     closing_words
-        Gives lines that end the summary.
+        Returns the last lines of the summary.
     """
     from fingerpost.capture import SourceKind, at_speed, open_views, read_views
     from fingerpost.pipeline import at_most, steps
@@ -235,13 +235,13 @@ def follow(
 
 
 def _frame_count(max_frames: int | None, sources: Sequence[Source]) -> int | None:
-    """Return how many frames there should be, as far as anybody knows."""
+    """Return the expected number of frames, if known."""
     counts = (max_frames, *(source.frame_count for source in sources))
     return min((count for count in counts if count), default=None)
 
 
 def settings_of(model: str, settings: tuple[str, ...]) -> dict[str, Any]:
-    """Return options of the tracker; each of the settings is a line of TOML."""
+    """Return options of the tracker; each setting is a line of TOML."""
     try:
         return {"model": model, **tomllib.loads("\n".join(settings))}
     except tomllib.TOMLDecodeError as error:
@@ -252,7 +252,7 @@ def settings_of(model: str, settings: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _reference_noise(rig: Rig, sigma_px: float | None) -> dict[str, Any]:
-    """Give the option of `Pointer` that --reference-noise sets; refuse it where it sets nothing."""
+    """Return the option of `Pointer` for --reference-noise; refuse it if it has no effect."""
     if sigma_px is None:
         return {}
     if all(view.reference_covariances_px2 for view in rig.views):
@@ -274,7 +274,7 @@ def _takers(
     asked: Following,
     is_live: bool,
 ) -> list[Callable[[Step], None]]:
-    """Everything that takes the steps as they come: tables, video, standard output."""
+    """Return the receivers of the steps: tables, video, standard output."""
     from fingerpost.recording import write_points, write_tracks
 
     takers: list[Callable[[Step], None]] = []

@@ -27,7 +27,7 @@ _FILE = click.Path(path_type=Path)
 
 
 class _FromMany(click.Command):
-    """Takes `--from A B C` for `--from A --from B --from C`."""
+    """Parses `--from A B C` as `--from A --from B --from C`."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         spread, is_source, count = [], False, 0
@@ -133,7 +133,7 @@ def init(
 
 
 def _found(rig: Rig, count: int | None, give_up_after_s: float | None) -> SetUp:
-    """Look at the frames of all views until everything is found."""
+    """Search the frames of all views until everything is found."""
     from fingerpost.capture import SourceKind, open_views, read_views
     from fingerpost.pipeline import at_most
     from fingerpost.setting_up import DEFAULT_FRAMES, set_up
@@ -186,7 +186,7 @@ def _answered(question: str, check: Callable[[str], object], **options: Any) -> 
         try:
             check(answer)
         except FingerpostError as error:
-            # What makes click ask once more.
+            # Makes click ask again.
             raise click.UsageError(str(error)) from error
         return answer
 
@@ -201,7 +201,7 @@ def _confirmed(question: str, *, default: bool) -> bool:
 
 @contextmanager
 def _ended_line() -> Iterator[None]:
-    """Begin a new line if a prompt is not answered: by Ctrl-C, or the end of input."""
+    """Begin a new line if a prompt is not answered because of Ctrl-C or the end of input."""
     try:
         yield
     except click.Abort:
@@ -210,7 +210,7 @@ def _ended_line() -> Iterator[None]:
 
 
 def _check_source(before: Sequence[str], answer: str) -> None:
-    """Refuse a file that is not there, or that another view reads."""
+    """Refuse a file that does not exist, or that another view reads."""
     from fingerpost.capture import is_camera_name, is_url, refuse_repeated, source_files
 
     if not answer and len(before) >= 2:
@@ -218,7 +218,7 @@ def _check_source(before: Sequence[str], answer: str) -> None:
     source = _source(answer)
     if source == "-":
         raise InvalidInputError("-: a terminal sends no frames; a named pipe does")
-    # Path.exists would raise where a name is too long to exist.
+    # Path.exists would raise for a name that is too long.
     exists = [os.path.exists(file) for file in source_files(source)]  # noqa: PTH110
     if (
         isinstance(source, str)
@@ -230,7 +230,7 @@ def _check_source(before: Sequence[str], answer: str) -> None:
 
 
 def _show_cameras() -> None:
-    """Name the cameras that are plugged in, for their numbers are what is asked for."""
+    """Print the connected cameras with the numbers that are asked for."""
     from fingerpost.capture import list_cameras
 
     for camera in list_cameras():
@@ -242,7 +242,7 @@ def _source(name: str) -> str | int:
 
 
 def _near(given: tuple[str, ...]) -> dict[str, tuple[float, float]]:
-    """Read the pixels of --near, by view."""
+    """Parse the pixels of --near, by view."""
     near = {}
     for words in given:
         view, _, place = words.rpartition("=")

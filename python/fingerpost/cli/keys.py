@@ -1,4 +1,4 @@
-"""Keys that are pressed while a command runs, where somebody is at them."""
+"""Keys that are pressed while a command runs on a terminal."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 
 TAKE_KEY = " "
-"""Selects, or takes, what is pointed at."""
+"""Selects the target, or takes the point, that is pointed at."""
 
 
 def has_keys() -> bool:
@@ -19,7 +19,7 @@ def has_keys() -> bool:
 
 @contextmanager
 def pressed_keys() -> Iterator[deque[str]]:
-    """Give the keys that are pressed, the first one first; none where `has_keys` is false."""
+    """Yield the queue of pressed keys, the oldest first; empty if `has_keys` is false."""
     from fingerpost.guidance import Keys
 
     pressed: deque[str] = deque()

@@ -27,7 +27,7 @@ _LARGEST_PORT = 65535
 
 
 def _address(_context: click.Context, _parameter: click.Parameter, given: str) -> str:
-    """Refuse what is no address of one network card."""
+    """Refuse anything except the address of one network interface."""
     try:
         address = ipaddress.IPv4Address(given)
     except ValueError:
@@ -121,7 +121,7 @@ def live(
 
 
 def _is_source(name: str) -> bool:
-    """Tell whether a name is a source's rather than a rig file's."""
+    """Return whether a name is that of a source rather than of a rig file."""
     from fingerpost.capture import is_url
     from fingerpost.live.setup.offers import FILMS
 
@@ -129,7 +129,7 @@ def _is_source(name: str) -> bool:
 
 
 def _sources(names: Sequence[str]) -> list[str | int]:
-    """Return sources as a rig file has them, relative files to the current directory."""
+    """Return sources as in a rig file; relative paths start at the current directory."""
     from fingerpost.capture import resolve_source
 
     return [int(name) if name.isdecimal() else resolve_source(name, Path.cwd()) for name in names]

@@ -25,11 +25,11 @@ _OPTIONS = (
 )
 
 page_arm_options = grouped(_OPTIONS)
-"""Gives a command the options of an arm that its page guides."""
+"""Adds the options of an arm that is guided from the page."""
 
 
 def refuse_without_arm(given: Mapping[str, Any]) -> None:
-    """Refuse options of an arm where none may move.
+    """Refuse options of an arm without --arm.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def refuse_without_arm(given: Mapping[str, Any]) -> None:
 
 
 def desk_of(rig: Rig, given: Mapping[str, Any]) -> GuidingDesk:
-    """Return the place from which the page guides the arm of a rig; nothing moves.
+    """Return the desk from which the page guides the arm of a rig; nothing moves.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def desk_of(rig: Rig, given: Mapping[str, Any]) -> GuidingDesk:
     Raises
     ------
     FingerpostError
-        The rig has no robot, or what is given will not do.
+        The rig has no robot, or the given values are invalid.
     """
     from fingerpost.guidance import robot_of
     from fingerpost.live import OPERATOR_TIMEOUT_S, GuidingDesk

@@ -1,4 +1,4 @@
-"""What a live run shows of itself while it goes."""
+"""Status line of a live run."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ if TYPE_CHECKING:
 
 _SHOWN_EVERY_S = 0.1  # faster than people read, slower than terminals draw
 _RATE_OVER_S = 2.0
-_BRIEF_S = 1.0  # words that come and go within it cannot be read
-_STATE_COLUMNS = len("acquiring")  # the longest state, so that what follows keeps its place
+_BRIEF_S = 1.0  # a text that is shown for less cannot be read
+_STATE_COLUMNS = len("acquiring")  # the longest state, so that the next column keeps its place
 _GAP = "   "
 
 
 class LiveStatus:
-    """State of every view, the last point and the rate, in one line that goes on changing.
+    """State of every view, the last point and the rate, in one line that is updated.
 
     Parameters
     ----------
     line
-        Where it is shown.
+        Line of the terminal.
     unit
         Name of the plane's unit.
     plane_size
         Side of the working plane, in its unit.
     clock
-        Gives the time in seconds.
+        Returns the time in seconds.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class LiveStatus:
         self._point_s = -math.inf
 
     def take(self, step: Step) -> None:
-        """Take what came of a frame, and show it unless the last one was shown just now."""
+        """Add a step, and show it unless the last one was shown just before."""
         now_s = self._clock()
         self._steps_s.append(now_s)
         while now_s - self._steps_s[0] > _RATE_OVER_S:
@@ -65,7 +65,7 @@ class LiveStatus:
             self._line.show(self._words(step, now_s))
 
     def _words(self, step: Step, now_s: float) -> str:
-        """Lay the line out: states and point from the left, the rate at the right."""
+        """Return the line: states and point at the left, the rate at the right."""
         columns = self._line.columns
         states, said = _states(step), self._said(step, now_s)
         each = _GAP.join(f"{name} {state:<{_STATE_COLUMNS}}" for name, state in states)
@@ -77,24 +77,24 @@ class LiveStatus:
         return f"{left}{' ' * room}{right}" if right and room >= len(_GAP) else left
 
     def _said(self, step: Step, now_s: float) -> str:
-        """Give the point; without one, why, or the last one where the views' states say why."""
+        """Return the point, else the reason, or the last point if the states explain its lack."""
         if step.fix.point is not None:
             return self._point
         age_s = now_s - self._point_s
-        is_told = any(state != "tracking" for _, state in _states(step))
-        if self._point and (is_told or age_s < _BRIEF_S):
+        is_explained = any(state != "tracking" for _, state in _states(step))
+        if self._point and (is_explained or age_s < _BRIEF_S):
             return f"{self._point}, {_age(age_s)} ago"
         since = f"no point for {_age(age_s)}" if self._point else "no point yet"
-        return since if is_told else f"{since}: {step.fix.reason}"
+        return since if is_explained else f"{since}: {step.fix.reason}"
 
     def _rate(self) -> str:
-        """Give the rate of the last seconds, once there is one."""
+        """Return the rate of the last seconds, if known."""
         lasted_s = self._steps_s[-1] - self._steps_s[0]
         return f"{(len(self._steps_s) - 1) / lasted_s:.1f} fps" if lasted_s > 0.0 else ""
 
 
 def _states(step: Step) -> list[tuple[str, str]]:
-    """Give the name of every view and what it does."""
+    """Return the name and state of every view."""
     from fingerpost.recording.picture import status_of
 
     return [

@@ -1,4 +1,4 @@
-"""What commands that read live views have in common."""
+"""Common part of commands that read live views."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ give_up_option = click.option(
     callback=seconds(_LONGEST_SILENCE_S),
     help="End when a live view has sent nothing for so long.  [default: wait until it is back]",
 )
-"""Gives a command the parameter `give_up_after_s`."""
+"""Adds the parameter `give_up_after_s` to a command."""
 
 
 def hush_streams(sources: Mapping[str, str | int]) -> None:
     """Silence the decoders of streams, before the first is opened.
 
-    Of files, what they say is read and kept from the terminal (`capture.messages`); a stream's
-    thread decodes at any time, and what it says would stand between the lines of others.
+    The messages of a file's decoder are captured and kept from the terminal (`capture.messages`).
+    A stream's thread decodes at any time; its messages would appear between other lines.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Whose habit of pointing a command subtracts."""
+"""Choice of the operator whose habit of pointing a command subtracts."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ operator_option = click.option(
     help="Subtract the habit of NAME, as `fingerpost calibrate-operator` has estimated it; or a "
     ".toml file of it.",
 )
-"""Gives a command the parameter `operator`."""
+"""Adds the parameter `operator` to a command."""
 
 
 def operator_called(name: str | None) -> Operator | None:
-    """Return the operator that was asked for.
+    """Return the requested operator.
 
     Raises
     ------
     InvalidInputError
-        There is none of that name.
+        There is no operator of that name.
     """
     from fingerpost.operators import Operator
 

@@ -1,4 +1,4 @@
-"""What a command writes never lies on what it reads, nor on what else it writes."""
+"""Check that the outputs of a command are distinct from each other and from its inputs."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ if TYPE_CHECKING:
 
 
 def keep_apart(outputs: Mapping[str, Path | None], inputs: Iterable[tuple[str, Path]]) -> None:
-    """Refuse outputs that are one file, by whatever names, or are a file that is read.
+    """Refuse outputs that are the same file, under any names, or that are an input.
 
     Parameters
     ----------
     outputs
-        Everything that will be written, by the option that names it; None where nothing is.
+        Files to be written, by the option that names each; None for none.
     inputs
-        Everything that is read: what it is, and the file.
+        Files to be read, each with a description.
 
     Raises
     ------
     InvalidInputError
-        Two outputs, or an output and an input, are one file; both are named.
+        Two outputs, or an output and an input, are the same file; the message names both.
     """
     written = {option: path for option, path in outputs.items() if path is not None}
-    nowhere = _identity(Path(os.devnull))  # where any number of outputs may go
+    nowhere = _identity(Path(os.devnull))  # may be named by any number of outputs
     taken: dict[Hashable, tuple[str, Path]] = {}
     for option, path in written.items():
         identity = _identity(path)
@@ -48,7 +48,7 @@ def keep_apart(outputs: Mapping[str, Path | None], inputs: Iterable[tuple[str, P
 
 
 def rig_files(rig_file: Path, rig: Rig) -> Iterator[tuple[str, Path]]:
-    """Give every file that a rig is read from: its own, and the footage of its views."""
+    """Yield the files that a rig is read from: its own, and the footage of its views."""
     from fingerpost.capture import source_files
 
     yield "the rig file", rig_file
@@ -58,11 +58,11 @@ def rig_files(rig_file: Path, rig: Rig) -> Iterator[tuple[str, Path]]:
 
 
 def _identity(path: Path) -> Hashable:
-    """Return what two names of one file share: the file itself, or the place where it will be."""
+    """Return a key that is equal for all names of one file, whether or not the file exists."""
     try:
         found = path.stat()
     except OSError:
         return os.path.normcase(os.path.realpath(path))
-    except ValueError:  # a name that no file can have
+    except ValueError:  # not a valid file name
         return path
     return found.st_dev, found.st_ino

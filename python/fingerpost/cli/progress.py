@@ -1,4 +1,4 @@
-"""A progress bar, or a line that changes, on stderr, only where a person watches."""
+"""A progress bar, or a line that is updated, on stderr; only if that is a terminal."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ import click
 
 T = TypeVar("T")
 
-_USUAL_COLUMNS = 80  # of a terminal that does not say how many it has
+_USUAL_COLUMNS = 80  # of a terminal of unknown width
 
 
 def watched(items: Iterable[T], length: int | None, label: str) -> Generator[T, None, None]:
-    """Yield the items, with a bar that moves as they go by and ends its line when it is closed.
+    """Yield the items and advance a bar; closing the generator ends its line.
 
     Parameters
     ----------
     items
-        What is worked through.
+        Items to process.
     length
-        How many there should be; without it, as for a live source, there is no bar.
+        Expected number of items; without it, as for a live source, there is no bar.
     label
-        What is being done.
+        Name of the activity.
     """
     if length is None or not _is_watched():
         yield from items
@@ -38,9 +38,9 @@ def watched(items: Iterable[T], length: int | None, label: str) -> Generator[T, 
 
 
 class StatusLine:
-    """A line of a terminal that is written over.
+    """A line of a terminal that is overwritten.
 
-    It is never wider than the terminal, so that it stays one line; its words begin at the left.
+    It is never wider than the terminal, so that it remains one line; its text begins at the left.
 
     Parameters
     ----------
@@ -54,15 +54,15 @@ class StatusLine:
 
     @property
     def columns(self) -> int:
-        """How many columns a line may have: one fewer than the terminal, whose cursor needs it."""
+        """Largest width of a line: one column less than the terminal, for the cursor."""
         try:
             columns = os.get_terminal_size(self._stream.fileno()).columns
-        except (OSError, ValueError):  # no terminal, or a stream without a file
+        except (OSError, ValueError):  # not a terminal, or a stream without a file
             columns = 0
         return (columns or _USUAL_COLUMNS) - 1
 
     def show(self, words: str) -> None:
-        """Write words over those before; what the line has no room for is cut off."""
+        """Replace the text of the line; text beyond its width is cut off."""
         columns = self.columns
         if cell_count(words) > columns:
             words = _fitting(words, columns - 1) + "…"
@@ -71,14 +71,14 @@ class StatusLine:
         self._covered = cells
 
     def clear(self) -> None:
-        """Leave the line empty, for whatever is written next."""
+        """Clear the line for other output."""
         if self._covered:
-            # A terminal shows Ctrl-C as two signs behind the words.
+            # A terminal shows Ctrl-C as two characters after the text.
             self._write(f"\r{' ' * min(self._covered + 2, self.columns)}\r")
             self._covered = 0
 
     def end(self) -> None:
-        """Leave the words standing, and begin a new line."""
+        """Keep the text, and begin a new line."""
         if self._covered:
             self._write("\n")
             self._covered = 0
@@ -88,7 +88,7 @@ class StatusLine:
 
 
 def cell_count(words: str) -> int:
-    """Return how many columns words take on a terminal: wide characters take two."""
+    """Return the number of columns of a text on a terminal: wide characters take two."""
     return sum(_cells(character) for character in words)
 
 
@@ -97,16 +97,16 @@ def _cells(character: str) -> int:
 
 
 def _fitting(words: str, columns: int) -> str:
-    """Return the first words, as much as the columns hold."""
+    """Return the part of a text that fits into a number of columns."""
     ends = accumulate(map(_cells, words))
     return "".join(c for c, end in zip(words, ends, strict=True) if end <= columns)
 
 
 @contextmanager
 def status_line() -> Iterator[StatusLine | None]:
-    """Give a line on stderr that is gone at the end; None where nobody watches.
+    """Yield a line on stderr that is cleared at the end; None if stderr is not a terminal.
 
-    What is logged meanwhile stands on lines of its own.
+    Messages that are logged meanwhile get lines of their own.
     """
     if not _is_watched():
         yield None
@@ -129,13 +129,13 @@ def status_line() -> Iterator[StatusLine | None]:
 
 
 @contextmanager
-def telling() -> Iterator[Callable[[str], None]]:
-    """Give what shows, in one line that changes, what is being done; nothing where nobody watches.
+def reporting() -> Iterator[Callable[[str], None]]:
+    """Yield a function that shows the current activity in one line, if stderr is a terminal.
 
     Yields
     ------
     callable
-        Takes the words.
+        Takes the text.
     """
     if not _is_watched():
         yield lambda _words: None
@@ -149,22 +149,22 @@ def telling() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def counting(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Give what shows, in one line that changes, how many of all are done.
+    """Yield a function that shows the number of completed items in one line.
 
     Parameters
     ----------
     what
-        What is counted, in the plural.
+        Name of the items, in the plural.
 
     Yields
     ------
     callable
-        Takes the number that is done and that of all.
+        Takes the number of completed items and that of all.
     """
-    with telling() as tell:
-        yield lambda done, of: tell(f"{done} of {of} {what}")
+    with reporting() as report:
+        yield lambda done, of: report(f"{done} of {of} {what}")
 
 
 def _is_watched() -> bool:
-    # Python has no stderr where that was closed before it began.
+    # Python has no stderr if it was closed before the start.
     return sys.stderr is not None and sys.stderr.isatty()

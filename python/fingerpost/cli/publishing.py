@@ -1,4 +1,4 @@
-"""`--publish`: fixes of a command to programs that are already there."""
+"""`--publish`: fixes of a command for other programs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PRINTS = "ndjson:"
 
 
 def _known(_context: click.Context, _parameter: click.Parameter, urls: Sequence[str]) -> list[str]:
-    """Refuse, before anything is opened, what is no address."""
+    """Refuse invalid addresses before anything is opened."""
     if urls:
         from fingerpost.publishing.registry import refuse_unknown
 
@@ -36,7 +36,7 @@ publish_option = click.option(
     help="Send every fix there: ndjson: (standard output), osc://, tuio://, ws://, zenoh:// or "
     "zenoh+ros2://HOST:PORT.  May be repeated.",
 )
-"""Gives a command the parameter `publish`."""
+"""Adds the parameter `publish` to a command."""
 
 
 def prints_fixes(urls: Sequence[str]) -> bool:
@@ -45,19 +45,18 @@ def prints_fixes(urls: Sequence[str]) -> bool:
 
 
 class Publishing:
-    """Takes steps, and publishes their fixes.
+    """Publishes the fixes of steps.
 
     Parameters
     ----------
     stack
-        Closes what is opened.
+        Closes the connections.
     urls
-        Where to.
+        Destinations.
     rig
-        Whose fixes they are.
+        Rig of the fixes.
     is_live
-        Whether their times are the machine's clock's. Receivers that are slow are not waited for
-        then.
+        Whether their times are the machine's clock's; then slow receivers are not waited for.
     """
 
     def __init__(
@@ -86,7 +85,7 @@ class Publishing:
             publisher.put(fix, _pictures(step) if publisher.wants_pictures else ())
 
     def notes(self) -> list[str]:
-        """Return what is to be said in the end, for people."""
+        """Return the final remarks for people."""
         return [note for publisher in self._publishers for note in publisher.notes()]
 
     def _published(self, step: Step) -> PublishedFix:

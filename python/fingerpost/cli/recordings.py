@@ -1,4 +1,4 @@
-"""`fingerpost info`, `recover` and `export`: what a recording holds, and how to get it out."""
+"""`fingerpost info`, `recover` and `export`: description, recovery and export of recordings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _FILE = click.Path(path_type=Path)
 @click.argument("recording", metavar="X.MCAP", type=_FILE)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def info(recording: Path, as_json: bool) -> None:
-    """Tell what a recording holds: views, frames, topics, and whether it is whole.
+    """Describe what a recording holds: views, frames, topics, and whether it is whole.
 
     MCAP files of other programs are described as well.
     """

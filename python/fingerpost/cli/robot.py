@@ -103,7 +103,7 @@ def emulate(
         echo=echo,
         seed=seed,
     )
-    # click.echo flushes: whoever waits for the port must not wait for a full buffer.
+    # click.echo flushes: a program that waits for the port must not wait for a full buffer.
     serve(
         emulator,
         click.echo,
@@ -115,7 +115,7 @@ def emulate(
 
 
 def _typed() -> Iterable[str]:
-    """Return the lines of standard input, which may be closed, or hold what is no text."""
+    """Return the lines of standard input, which may be closed or contain invalid text."""
     if isinstance(sys.stdin, io.TextIOWrapper):
         sys.stdin.reconfigure(errors="replace")
     return sys.stdin or ()

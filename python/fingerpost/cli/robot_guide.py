@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from fingerpost.robot import FollowReport, PickPlaceOptions
 
 MOST_FRAMES = 2**31 - 1
-"""Years of them."""
+"""Largest number of frames to accept: years of them."""
 
 _IN = click.Path(path_type=Path)
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -74,7 +74,7 @@ following_options = grouped(
         ),
     ]
 )
-"""Gives a command the options of following."""
+"""Adds the options of following to a command."""
 
 carrying_options = grouped(
     [
@@ -88,7 +88,7 @@ carrying_options = grouped(
         click.option("--grip-width", "grip", type=float, help="Grip to a width, m, not closed."),
     ]
 )
-"""Gives a command the options of picking and placing."""
+"""Adds the options of picking and placing to a command."""
 
 _guiding_options = grouped(
     [
@@ -152,7 +152,7 @@ def pick(**given: Any) -> None:
 
 
 def carrying(given: Mapping[str, Any]) -> PickPlaceOptions:
-    """Return how blocks are picked and placed, of `carrying_options`."""
+    """Return the options of picking and placing from `carrying_options`."""
     from fingerpost.robot import PickPlaceOptions
 
     names = ("travel_m", "grip_m", "release_m", "grip", "speed_m_s")
@@ -162,19 +162,19 @@ def carrying(given: Mapping[str, Any]) -> PickPlaceOptions:
 def guided_arm(
     table: RobotTable, given: Mapping[str, Any], carry: PickPlaceOptions | None, *, dwells: bool
 ) -> GuidedArm:
-    """Return the arm of a rig as a command's options want it guided; nothing moves.
+    """Return the arm of a rig, configured by a command's options; nothing moves.
 
     Parameters
     ----------
     table
         The rig's [robot].
     given
-        The command's options: `following_options` and `operator_timeout_s`, and where it dwells
-        `carrying_options`.
+        The command's options: `following_options`, `operator_timeout_s`, and `carrying_options` if
+        the hand selects by dwelling.
     carry
-        How blocks are picked and placed; None only follows.
+        Options of picking and placing; None only follows.
     dwells
-        Whether the hand selects by staying.
+        Whether the hand selects by dwelling.
     """
     from fingerpost.guidance import GuidedArm, GuidingOptions
     from fingerpost.robot import DwellSelector, FollowOptions, GuardOptions, open_robot
@@ -231,7 +231,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
             "no view has a [view.start] to hold the hand up to, and without a terminal as standard "
             "input no key can confirm it"
         )
-    # A region that is none, and what will not do in this one, is refused before all else.
+    # An invalid region, and options that do not fit it, are refused first.
     arm = guided_arm(table, given, carry, dwells=given.get("select") == "dwell")
     pointer = Pointer(rig, moving=arm.guard.body)
     need_consent(given["arm"], "robot follow" if carry is None else "robot pick")
@@ -245,7 +245,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
         stack.enter_context(ending_orderly())
         hush_streams(rig.sources)
         sources = stack.enter_context(open_views(rig.sources, rig.readings))
-        # Recordings are played as if they were live, with times of the machine's clock.
+        # Recordings are played as if live, with times of the machine's clock.
         stack.enter_context(outputs.opened(rig, sources, is_live=True, arm=arm))
         give_up_after_s = given["give_up_after_s"]
         frames: Iterator[Sequence[Frame | Loss | None]]

@@ -41,7 +41,7 @@ Start = tuple[str, float, float, float, float]
 def _corners(
     context: click.Context, parameter: click.Parameter, value: str
 ) -> tuple[tuple[float, float], ...]:
-    """Read the corners of a region: `x,y x,y x,y ...`."""
+    """Parse the corners of a region: `x,y x,y x,y ...`."""
     try:
         corners = [tuple(float(number) for number in pair.split(",")) for pair in value.split()]
     except ValueError:
@@ -158,13 +158,13 @@ def plane(
     guard_options = GuardOptions(operator_timeout_s=operator_timeout_s)
     finders = _finders(cameras, given)
     robot = open_robot(url)
-    # A region that is none, and places that are not in it, are refused before all else.
+    # An invalid region, and places outside it, are refused first.
     guard = guard_of(robot, table, guard_options)
     try:
         places_to_visit(guard, options)
     except OutOfReachError as error:
         raise InvalidInputError(f"--height {height_m:g}: {error}") from error
-    _need_file(output)  # what the visits are for must not be lost at their end
+    _need_file(output)  # else the results would be lost after the visits
     with ExitStack() as stack:
         need_consent(arm, "robot plane")
         on_record = open_log(stack, log)
@@ -193,7 +193,7 @@ def plane(
             found = define_plane(
                 guard, cameras, frames, finders, options, progress=_progress(options.points)
             )
-            # Inside, as a log that fails with the last stop makes leaving the block raise.
+            # Inside the block, because leaving it raises if the log fails with the last stop.
             _report(found, as_json)
             found.rig(cameras, table).save(output)
     if not as_json:
@@ -201,7 +201,7 @@ def plane(
 
 
 def _need_file(path: Path) -> None:
-    """See that the new rig can be written, by writing what `Rig.save` would write first."""
+    """Check that the new rig can be written, by writing the temporary file of `Rig.save`."""
     from fingerpost.config import part_of
 
     problem = ""
@@ -223,7 +223,7 @@ def _need_file(path: Path) -> None:
 
 
 def _need_folder(path: Path) -> None:
-    """See that pictures can be saved in a folder, which is made if it does not exist."""
+    """Check that pictures can be saved in a folder, which is created if it does not exist."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):
@@ -241,7 +241,7 @@ def _replaced(table: RobotTable, changes: Mapping[str, Any]) -> RobotTable:
 
 
 def _finders(cameras: Rig, given: Mapping[str, Any]) -> list[GripperFinder]:
-    """One finder for every view."""
+    """Return one finder for every view."""
     from fingerpost.guidance import MarkerFinder, MotionFinder
 
     sigma = {} if given["sigma_px"] is None else {"sigma_px": given["sigma_px"]}
@@ -309,7 +309,7 @@ def _looking_up(
 
 
 def _asking(name: str, pictures: Path) -> Callable[[int, Frame], NDArray[np.float64] | None]:
-    """Return what asks for a pixel on the terminal, having saved the picture to look at."""
+    """Return a function that saves a picture and asks for a pixel of it on the terminal."""
 
     def ask(place: int, frame: Frame) -> NDArray[np.float64] | None:
         from fingerpost.guidance.finders import pixel_of

@@ -21,7 +21,7 @@ from fingerpost.signals import ending_at_once
 @give_up_option
 @record_options
 def run(rig_file: Path, **asked: Any) -> None:
-    """Track a hand in every view of a rig and tell where on the plane it points.
+    """Track a hand in every view of a rig and print where on the plane it points.
 
     RIG.TOML names the views (video files, globs of images, cameras, URLs or views of a
     recording), the plane and where the hand is first seen. A live view that sends nothing is lost

@@ -1,4 +1,4 @@
-"""What a run came to: how often each status, and why."""
+"""Summary of a run: the number of fixes of each status, with reasons."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ if TYPE_CHECKING:
     from fingerpost.capture import Source
     from fingerpost.pointing import Fix
 
-_REASONS = 5  # as many as people read
+_REASONS = 5  # largest number of reasons to print
 _NAME_OR_NUMBER = re.compile(r'"[^"]*"|[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?')
 
 
 def source_notes(views: Iterable[str], sources: Iterable[Source]) -> list[str]:
-    """Return what sources have to say in the end, each with its view's name.
+    """Return the final remarks of sources, each with its view's name.
 
     Parameters
     ----------
     views
         Names, in the order of the sources.
     sources
-        As they were opened; none where that failed.
+        The opened sources; none if that failed.
     """
     return [
         f"{view}: {note}"
@@ -33,7 +33,7 @@ def source_notes(views: Iterable[str], sources: Iterable[Source]) -> list[str]:
 
 
 class RunSummary:
-    """How many fixes of each status, and the most frequent reasons for there being no better."""
+    """Counts fixes by status, and their most frequent reasons."""
 
     def __init__(self) -> None:
         self._statuses: Counter[str] = Counter()
@@ -47,7 +47,7 @@ class RunSummary:
 
     @property
     def frames(self) -> int:
-        """How many fixes were counted."""
+        """Number of counted fixes."""
         return self._statuses.total()
 
     def lines(self, elapsed_s: float, notes: Sequence[str] = ()) -> list[str]:
@@ -56,9 +56,9 @@ class RunSummary:
         Parameters
         ----------
         elapsed_s
-            How long the run took.
+            Duration of the run.
         notes
-            What the sources have to say.
+            Remarks of the sources.
         """
         frames = self.frames
         lines = [f"frames   {frames} in {elapsed_s:.1f} s"]
@@ -75,5 +75,5 @@ class RunSummary:
 
 
 def _kind(reason: str) -> str:
-    """Return what reasons have in common that differ in their figures alone; names stay."""
+    """Return a reason with its figures removed, but not its names, to group equal reasons."""
     return _NAME_OR_NUMBER.sub(lambda found: found[0] if found[0][0] == '"' else "…", reason)

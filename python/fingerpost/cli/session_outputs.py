@@ -1,4 +1,4 @@
-"""What commands that follow a hand share: published fixes, a recording, the log of commands."""
+"""Outputs of all commands that follow a hand: published fixes, a recording, the command log."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class SessionOutputs:
     Parameters
     ----------
     publish
-        URLs that fixes are published to.
+        URLs to publish fixes to.
     record
         File of the recording; None records nothing.
     images
-        Format of recorded images, as of `open_recorder`.
+        Format of recorded images, as for `open_recorder`.
     log
-        The log of commands, of `open_log`; None keeps none.
+        The log of commands from `open_log`; None for no log.
     """
 
     def __init__(
@@ -60,21 +60,21 @@ class SessionOutputs:
         is_live: bool,
         arm: GuidedArm | None = None,
     ) -> Iterator[None]:
-        """Publish and record as long as the block lasts.
+        """Publish and record during the block.
 
         Parameters
         ----------
         rig, sources
-            The rig, and its views' sources, open.
+            The rig, and the open sources of its views.
         is_live
-            Whether times are the machine's clock's; nobody is waited for then.
+            Whether times are the machine's clock's; then slow receivers are not waited for.
         arm
-            The arm that is guided, if any: its state and its commands are recorded.
+            The guided arm, if any: its state and its commands are recorded.
 
         Raises
         ------
         FingerpostError
-            A recording that exists or cannot be written, or what is not installed.
+            A recording that exists or cannot be written, or a missing extra.
         """
         with ExitStack() as stack:
             if self._publish:
@@ -89,11 +89,11 @@ class SessionOutputs:
             yield
 
     def watch(self, frames: Frames) -> Frames:
-        """Pass on the frames of all views, and record them."""
+        """Return the frames of all views unchanged, and record them."""
         return frames if self._recorder is None else self._recorder.watch(frames)
 
     def take(self, step: Step) -> None:
-        """Publish and record what was made of frames."""
+        """Publish and record a step."""
         if self._published is not None:
             self._published.take(step)
         if self._recorder is not None:
@@ -102,13 +102,13 @@ class SessionOutputs:
             self._of_arm.take(step)
 
     def on_record(self, record: CommandRecord) -> None:
-        """Keep a command: in the log first, which stops the arm when it fails."""
+        """Record a command, first in the log, which stops the arm if it fails."""
         if self._log is not None:
             self._log(record)
         if self._of_arm is not None:
             self._of_arm.on_record(record)
 
     def notes(self) -> list[str]:
-        """Return what is to be said in the end, for people."""
+        """Return the final remarks for people."""
         taken = (self._published, self._recorder)
         return [note for one in taken if one is not None for note in one.notes()]

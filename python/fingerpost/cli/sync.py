@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 @click.option("--max-frames", metavar="N", type=click.IntRange(min=1), help="Look at N frames.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a view.")
 def sync(rig_file: Path, output: Path | None, max_frames: int | None, as_json: bool) -> None:
-    """Tell the offset_s of recordings that were not begun at once, from the footage itself.
+    """Estimate the offset_s of recordings that were not begun at once, from the footage itself.
 
     In all views a hand is to point and move, to and fro and across, for some seconds. Prints the
     offset_s of every view but the first, by which the rig's views come to one time.

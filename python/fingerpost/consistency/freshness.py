@@ -1,8 +1,9 @@
 """Detection of repeated images: cameras and drivers deliver the same image again.
 
-An image is a repetition if it has not even changed by the view's usual noise, although it should:
-its hand was moving a moment ago, or moves in another view. Without motion a repetition does no harm
-and none is reported: recordings without noise and single stills repeat by nature.
+An image is a repetition if it differs by less than the view's usual noise although it should
+change, because the hand was moving just before or moves in another view. Without motion a
+repetition is harmless and none is reported: recordings without noise and single stills always
+repeat.
 """
 
 from __future__ import annotations

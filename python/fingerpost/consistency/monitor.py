@@ -45,7 +45,7 @@ class Monitor:
     Parameters
     ----------
     names
-        The views'.
+        Names of the views.
 
     Attributes
     ----------

@@ -34,7 +34,7 @@ MOST_SIGMA_S = 0.01
 STRANGE_PX = 3.0
 """Scale of the robust cost: a tip farther from its line is an outlier."""
 
-_MOST_TIPS = 300  # looked at over all lags
+_MOST_TIPS = 300  # used over all lags
 _WINDOW = 10  # frames that a place is fitted to
 _PARTS = 8
 _MOST_VALLEYS = 6  # of the costs at frames that are minimised between frames

@@ -1,17 +1,16 @@
-"""Whether reference points are where a rig says, by the texture and the corners of its pictures.
+"""Verification of reference points by the texture and the corners of the pictures.
 
-There are two kinds of evidence. Rectified to the plane by their own points, all views show one and
-the same table: its texture, high-pass filtered, correlates by 0.95 where points are right and by
-0.1 where they are not. And points that were measured at corners of something have a sharp corner
-under them. Neither suffices alone: plain sheets have no texture, and crossings of lines are no
-corners. So the mistakes that people make are undone one by one, and one is named if the views
-agree by that as those of a right rig do, or if corners stand under all points then and under
-hardly any before.
+There are two kinds of evidence. Rectified to the plane by their own points, all views show the same
+table: its high-pass filtered texture has a correlation of 0.95 if the points are right and 0.1 if
+not. And points that were measured at corners of objects coincide with sharp corners in the picture.
+Neither suffices alone: plain sheets have no texture, and crossings of lines are not corners. Common
+mistakes are therefore corrected one by one. One is reported if after its correction the views agree
+as those of a right rig do, or if all points then are at corners while hardly any were before.
 
-The agreement is the mean over small cells of the plane, each of which counts once. What stands
-above the plane, a hand or a robot, differs from view to view and has the strongest edges of all:
-in one correlation over the whole plane it would outweigh the table, and two hands laid over each
-other would pass for one.
+The agreement is the mean over small cells of the plane, each with equal weight. Objects above the
+plane, such as a hand or a robot, differ between views and have the strongest edges: in a single
+correlation over the whole plane they would outweigh the table, and two superimposed hands would
+seem to agree.
 """
 
 from __future__ import annotations
@@ -38,43 +37,43 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 LARGEST_PX = 1280
-"""Pictures with a longer side are looked at in a reduced size."""
+"""Longest side of a picture that is processed at full size [px]; larger ones are reduced."""
 
 AGREES = 0.8
 LEAST_AGREEMENT = 0.55
 BETTER = 0.2
-"""Agreement of two views' textures of the plane: from the first on nothing is wrong; a mistake that
-is undone must bring it to the second, and by the third above what it is. Right rigs, with a hand in
-sight, have 0.78 to 1 on simulated wood, prints and sheets; wrong ones −0.1 to 0.36."""
+"""Agreement of two views' textures of the plane: from the first on there is no mistake; the
+correction of a mistake must bring it to the second, and increase it by the third. Right rigs, with
+a visible hand, have 0.78 to 1 on simulated wood, prints and sheets; wrong ones −0.1 to 0.36."""
 
 LEAST_CELLS = 12
-"""Cells of the plane that must have a texture for the views to agree or disagree at all: a third of
-them. On a plain table, a hand covers up to 10."""
+"""Least number of cells of the plane with texture for the agreement to be defined: a third of them.
+On a plain table, a hand covers up to 10."""
 
 ANOTHER_HEIGHT = 0.25
-"""Texture that lies this well along the lines towards the epipole is of another height: sine of the
-root mean square angle between displacements and those lines."""
+"""Sine of the root mean square angle between displacements and the lines towards the epipole, below
+which the texture is at another height."""
 
 TIE = 0.01
-"""Of mistakes that explain as much, to this, the commonest one is named."""
+"""Difference of agreement up to which the more common mistake is reported."""
 
 SIMPLER = 0.05
-"""A mistake in one more view must explain so much more."""
+"""Least gain in agreement of a mistake that concerns one more view."""
 
 BARE_LEVELS = 1.0
-"""Standard deviation of what noise leaves of a picture with nothing in it [grey levels]."""
+"""Greatest standard deviation of a filtered picture without content, by noise [grey levels]."""
 
 SAME = 0.97
-"""Pictures whose sharp parts correlate by this are one; those of two cameras do by 0.1."""
+"""Correlation of the high-pass filtered parts of equal pictures; that of two cameras is 0.1."""
 
 CORNER_PX = 3.0
-"""A sharp corner this near to a point is under it."""
+"""Greatest distance of a sharp corner from a point that coincides with it."""
 
 FURTHEST_PX = 60.0
-"""Points that were measured badly have their corners within this."""
+"""Greatest distance of a poorly measured point from its corner."""
 
 SCALES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
-"""How sizes of pictures differ that one camera gives."""
+"""Ratios of the picture sizes of one camera."""
 
 _PATCH = 96
 _CELL = 16
@@ -91,19 +90,19 @@ _CORNERS_APART_PX = 6
 
 @dataclass(frozen=True, eq=False)
 class Mistake:
-    """What somebody probably did when the points of some views were written down.
+    """A probable mistake in the reference points of some views.
 
     Attributes
     ----------
     what
         The mistake in words.
     points_px
-        By the view's place in the rig, the points that would be right, (N, 2) [px].
+        The right points (N, 2) [px], by index of the view in the rig.
     agreement, as_given
-        How well the views agree by them, and by the points of the rig, −1 to 1.
+        Agreement of the views with these points, and with those of the rig, −1 to 1.
     is_certain
-        Whether a mistake that people make explains it by what all views show of the plane; else
-        corners alone are evidence, or something is wrong and it is not known in which view.
+        Whether it is a common mistake, and the texture in all views confirms it; otherwise only
+        corners are evidence, or it is unknown which view is wrong.
     """
 
     what: str
@@ -113,7 +112,7 @@ class Mistake:
     is_certain: bool
 
     def lines(self, rig: Rig) -> str:
-        """Return the lines of the rig file that would be right, one after the other."""
+        """Return the right lines of the rig file."""
         return "; ".join(
             f'view "{rig.views[k].name}": reference_points_px = ['
             + ", ".join(f"[{u:.1f}, {v:.1f}]" for u, v in points.tolist())
@@ -123,15 +122,15 @@ class Mistake:
 
 
 class Scenery:
-    """What the views of a rig show of the plane.
+    """Texture of the plane in the views of a rig.
 
     Parameters
     ----------
     rig
         Two views or more.
     pictures
-        One of each, (H, W) or (H, W, 3), without what moves if that can be had. Large ones are
-        looked at in a reduced size.
+        One of each, (H, W) or (H, W, 3), if possible without moving objects. Large ones are
+        reduced.
     """
 
     def __init__(self, rig: Rig, pictures: Sequence[NDArray[np.uint8]]) -> None:
@@ -159,21 +158,21 @@ class Scenery:
         self._patches: dict[tuple[int, bytes], Array | None] = {}
 
     def agreement(self) -> float:
-        """Return how well the views agree on what the plane looks like, −1 to 1.
+        """Return the agreement of the views on the plane's texture, −1 to 1.
 
-        The least agreement of the first view with another; 0 where one shows nothing of it.
+        It is the least agreement of the first view with another; 0 if a view does not show it.
         """
         return self._agreement({})
 
     def agreement_of(self, points_px: dict[int, Array], views: tuple[int, int]) -> float:
-        """Return how well two views agree with other reference points, −1 to 1.
+        """Return the agreement of two views with other reference points, −1 to 1.
 
         Parameters
         ----------
         points_px
-            Those of some views, by their place, (N, 2) [px].
+            Points (N, 2) of some views [px], by index of the view.
         views
-            The places of the two.
+            Indices of the two views.
         """
         reduced = {k: self._reductions[k].points(points) for k, points in points_px.items()}
         one, other = (self._patch(k, reduced.get(k, self._given[k])) for k in views)
@@ -188,9 +187,9 @@ class Scenery:
         return min(0.0 if other is None else _agreement(first, other) for other in others)
 
     def _may_agree(self, points_px: dict[int, Array]) -> bool:
-        """Whether views show enough texture to agree by `LEAST_AGREEMENT`, whatever it is.
+        """Whether views show enough texture to reach `LEAST_AGREEMENT`.
 
-        What is known already is asked first: on a plain table that answers for most mistakes.
+        Cached results are used first: on a plain table they decide most mistakes.
         """
         chosen = {**dict(enumerate(self._given)), **points_px}
         order = sorted(chosen, key=lambda k: k in points_px)
@@ -207,7 +206,7 @@ class Scenery:
         return int((~is_plain & (2 * counts >= cells.shape[1])).sum())
 
     def bends(self) -> dict[int, Bend]:
-        """Return how lenses bend the pictures of views that have none given, by their place."""
+        """Return the detected distortion of views without a given lens, by index."""
         found = {}
         for k, view in enumerate(self._rig.views):
             if view.lens is None:
@@ -219,7 +218,7 @@ class Scenery:
         return found
 
     def same_pictures(self) -> Contradiction | None:
-        """Tell whether two views show the same picture, which two cameras never do."""
+        """Return a contradiction if two views show the same picture, as two cameras never do."""
         for k, name in enumerate(view.name for view in self._rig.views):
             for j in range(k):
                 if self._sizes[j] == self._sizes[k] and self._is_same(j, k):
@@ -230,11 +229,11 @@ class Scenery:
         return None
 
     def plain(self) -> list[int]:
-        """Return the places of views whose pictures show nothing at all."""
+        """Return the indices of views whose pictures are blank."""
         return [k for k, smooth in enumerate(self._smooth) if float(smooth.std()) < BARE_LEVELS]
 
     def _is_same(self, j: int, k: int) -> bool:
-        """Whether what is sharp in two pictures is the same in both."""
+        """Whether the high-pass filtered parts of two pictures are equal."""
         import cv2
 
         one, other = (
@@ -244,7 +243,7 @@ class Scenery:
         return bool(_correlations(one.reshape(1, -1), other.reshape(1, -1))[0] > SAME)
 
     def mistake(self) -> Mistake | None:
-        """Return the likeliest mistake in the points; None if there is none to be seen."""
+        """Return the most likely mistake in the points; None if none is detected."""
         as_given = self.agreement()
         if as_given >= AGREES:
             return None
@@ -279,7 +278,7 @@ class Scenery:
         return best
 
     def _best_by_corners(self, as_given: float) -> Mistake | None:
-        """Believe corners alone where the table is too plain for the views to agree on."""
+        """Use corners alone if the table has too little texture for an agreement."""
         best, most = None, 0
         for k, given in enumerate(self._given):
             if self._hits(k, given) > 1:
@@ -293,7 +292,7 @@ class Scenery:
         return best
 
     def _guesses(self) -> Iterator[tuple[str, dict[int, Array]]]:
-        """Undo every mistake in every view alone, and in all of them."""
+        """Yield the corrections of every mistake, in every view alone and in all of them."""
         views = range(len(self._given))
         if len(self._given) == 2:
             yield "the views' points are swapped", {0: self._given[1], 1: self._given[0]}
@@ -301,7 +300,7 @@ class Scenery:
             each = {k: right(self._given[k], self._sizes[k]) for k in views}
             if "order" not in what:  # another order in all views is another pair of axes
                 yield f"{what} in all views", each
-            # Between views an order is relative: the first view's is taken for right.
+            # The order is relative between views: the first view's is assumed to be right.
             for k in views[1:] if "order" in what else views:
                 yield f'{what} in view "{self._rig.views[k].name}"', {k: each[k]}
         moved = [self._shifts(k) for k in views]
@@ -313,22 +312,22 @@ class Scenery:
             yield "; ".join(self._moved_words(k, best[k]) for k in views), best
 
     def _alignments(self) -> Iterator[tuple[str, dict[int, Array]]]:
-        """Bring the texture of each view to lie on the first one's, whatever that undoes."""
+        """Yield points that align the texture of each view with the first one's."""
         if all(self._hits(k, given) >= 2 for k, given in enumerate(self._given)):
-            return  # points at corners in all views: what differs stands on the plane
+            return  # points are at corners in all views: differences are objects on the plane
         for k in range(1, len(self._given)):
             aligned = self._aligned(k)
-            # Further off, a hand in one view has been laid on something else in the other.
+            # Further off, a hand in one view has been aligned with another object in the other.
             if aligned is not None and self._off_px(k, aligned) <= FURTHEST_PX:
                 yield self._aligned_words(k, aligned), {k: aligned}
 
     def _is_another_height(self, points_px: dict[int, Array]) -> bool:
-        """Whether the texture agrees because it lies above or below the plane of the points.
+        """Whether the texture would agree because it is above or below the plane of the points.
 
-        As where a robot has shown the plane at the height at which it grips. A plane that is
-        parallel to the working plane is displaced between two views along the lines towards the
-        point in which the line through both cameras' centres meets the plane (Hartley & Zisserman
-        2004, section 13.3).
+        For example, if a robot has defined the plane at the height of its grip. A plane parallel to
+        the working plane is displaced between two views along the lines towards the intersection of
+        the line through both camera centres with the plane (Hartley & Zisserman 2004, section
+        13.3).
         """
         return all(self._sine_to_epipole(k, px) < ANOTHER_HEIGHT for k, px in points_px.items())
 
@@ -364,13 +363,13 @@ class Scenery:
         )
 
     def _off_px(self, k: int, points: Array) -> float:
-        """How far points are off the rig's, as a median [px]."""
+        """Return the median distance of points from the rig's [px]."""
         return float(np.median(np.linalg.norm(points - self._given[k], axis=1)))
 
     def _aligned(self, k: int) -> Array | None:
-        """Return points by which a view's texture comes to lie on the first one's.
+        """Return points that align a view's texture with the first one's.
 
-        By the largest correlation over shifts, and a homography from there (Evangelidis & Psarakis
+        By the largest correlation over shifts, refined by a homography (Evangelidis & Psarakis
         2008).
         """
         import cv2
@@ -401,14 +400,14 @@ class Scenery:
         return None
 
     def _frame(self) -> tuple[Array, Array]:
-        """Where the first pixel of a texture lies on the plane, and how far apart they are."""
+        """Position of a texture's first pixel on the plane, and spacing of its pixels."""
         lower, upper = self._plane_points.min(axis=0), self._plane_points.max(axis=0)
         border = _AROUND * (upper - lower)
         return lower - border, (upper - lower + 2.0 * border) / (_PATCH - 1)
 
     @cached_property
     def _places(self) -> Array:
-        """The points of the plane that a texture is made of."""
+        """The points of the plane at which a texture is sampled."""
         lower, step = self._frame()
         return lower + step * np.moveaxis(np.mgrid[:_PATCH, :_PATCH][::-1], 0, -1)
 
@@ -416,7 +415,7 @@ class Scenery:
         return PlaneView.from_reference_points(self._plane_points, points_px, None, self._lenses[k])
 
     def _shifts(self, k: int) -> list[Array]:
-        """Return points with corners under them: shifted alike, or each to its own."""
+        """Return points at corners: with a common shift, or each moved to its own corner."""
         given, corners = self._given[k], self._corners[k]
         if not len(corners):
             return []
@@ -431,20 +430,20 @@ class Scenery:
         return found
 
     def _snapped(self, k: int, points: Array) -> Array:
-        """Move points onto the corners under them."""
+        """Move points to the corners near them."""
         off_px = np.linalg.norm(self._corners[k][None] - points[:, None], axis=-1)
         nearest = self._corners[k][off_px.argmin(axis=1)]
         return np.where(off_px.min(axis=1)[:, None] <= CORNER_PX, nearest, points)
 
     def _hits(self, k: int, points: Array) -> int:
-        """Count the points that have a sharp corner under them."""
+        """Count the points that coincide with a sharp corner."""
         if not len(self._corners[k]):
             return 0
         off_px = np.linalg.norm(self._corners[k][None] - points[:, None], axis=-1)
         return int((off_px.min(axis=1) <= CORNER_PX).sum())
 
     def _patch(self, k: int, points_px: Array) -> Array | None:
-        """Return the plane's texture as a view shows it; None where points tie it to no plane."""
+        """Return the plane's texture in a view; None if its points give no homography."""
         key = (k, points_px.tobytes())
         if key not in self._patches:
             self._patches[key] = self._texture(k, points_px)
@@ -471,7 +470,7 @@ class Scenery:
 
 
 def _slips() -> Iterator[tuple[str, Callable[[Array, tuple[int, int]], Array]]]:
-    """Give the mistakes that people make with pixels, and what undoes each."""
+    """Yield common mistakes with pixel coordinates, and the correction of each."""
     yield "rows and columns are swapped", lambda px, _: px[:, ::-1].copy()
     yield "y is counted upwards", lambda px, size: px * [1, -1] + [0, size[1] - 1]
     yield "the image was mirrored", lambda px, size: px * [-1, 1] + [size[0] - 1, 0]
@@ -498,7 +497,7 @@ def _grey(picture: NDArray[np.uint8]) -> Grey:
 
 
 def _sharp_corners(still: Grey) -> Array:
-    """Return the sharpest corners of a picture, (M, 2) [px], to part of a pixel."""
+    """Return the sharpest corners of a picture, (M, 2) [px], with subpixel accuracy."""
     import cv2
 
     low, high = np.percentile(still, (1, 99)).tolist()
@@ -513,10 +512,10 @@ def _sharp_corners(still: Grey) -> Array:
 
 
 def _agreement(first: Array, second: Array) -> float:
-    """Return the mean correlation over cells with a texture; 0 where there are too few of them.
+    """Return the mean correlation over cells with texture; 0 if there are too few of them.
 
-    Cells of which less than half is seen in both views do not count. A cell that only one of the
-    views shows a texture in counts as uncorrelated.
+    Cells of which less than half is visible in both views are ignored. A cell with texture in only
+    one of the views counts as uncorrelated.
     """
     found = _correlations(_cells(first), _cells(second))
     known = found[~np.isnan(found)]
@@ -526,7 +525,7 @@ def _agreement(first: Array, second: Array) -> float:
 def _correlations(first: Array, second: Array) -> Array:
     """Return the correlation of the textures in each row, 0 if one of them is plain.
 
-    NaN where both are, or less than half of the row is seen in both.
+    NaN if both are, or less than half of the row is visible in both.
     """
     both = np.isfinite(first) & np.isfinite(second)
     counts = np.maximum(both.sum(axis=1), 1)

@@ -38,11 +38,11 @@ LEAST_SHARE = 0.6
 
 _K1 = np.linspace(-1.0, 1.0, 101)
 _PLACES = np.linspace(0.08, 0.92, 29)
-_REACH = 0.06  # across a side, as a part of its length
+_REACH = 0.06  # across a side, relative to its length
 _STEP_PX = 0.5
 _LEAST_EDGE = 3.0  # [levels a pixel]
 _TRIPLES = 60  # of edge points
-_OFF_PX = 1.0  # an edge that is further off a smooth curve is another one's
+_OFF_PX = 1.0  # greatest distance of an edge from a smooth curve
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ def _curve(places: Array, at: Array, found: NDArray[np.bool_]) -> Array | None:
     if found.sum() < 6:
         return None
     x, y = places[found], at[found]
-    rng = np.random.default_rng(0)  # the same picture gives the same answer
+    rng = np.random.default_rng(0)  # for a reproducible result
     some = np.array([rng.choice(len(x), 3, replace=False) for _ in range(_TRIPLES)])
     parabolas = np.linalg.solve(_powers(x[some]), y[some][..., None])
     near = np.abs((_powers(x) @ parabolas)[..., 0] - y) < _OFF_PX

@@ -1,4 +1,4 @@
-"""Whether the clocks of two views agree, estimated from one fingertip that both follow.
+"""Comparison of the clocks of two views, by one fingertip that both follow.
 
 A point above the plane, transferred from one image to another by the homography through the plane,
 lies on a line through the epipole and the point's own image (plane and parallax: Hartley &
@@ -63,20 +63,20 @@ class Lag:
 
 
 def tip_in_first_view(finger: FingerLine, view: PlaneView, first: PlaneView) -> Array | None:
-    """Return where the first view's image of the plane has the tip that another view follows.
+    """Transfer the tip that another view follows, through the plane, to the first view's image.
 
     Parameters
     ----------
     finger
-        As the other view has it.
+        Finger line of the other view.
     view, first
-        How the other view and the first one see the plane.
+        Homographies of the other view and the first one.
 
     Returns
     -------
     (3,) array or None
-        A homogeneous vector, in pixels without distortion; None where the view's lens shows
-        nothing at the tip.
+        A homogeneous vector, in pixels without distortion; None if the tip is outside the domain of
+        the view's lens model.
     """
     tip_px = finger.tip_px if view.lens is None else view.lens.undistort(finger.tip_px)
     if not np.isfinite(tip_px).all():
@@ -97,7 +97,7 @@ class Tips:
         return min(self._count, MOST_TIPS)
 
     def add(self, time_s: float, point: Array) -> None:
-        """Add the latest one: when [s], and where as a homogeneous vector (3,)."""
+        """Add the latest position: its time [s], and a homogeneous vector (3,)."""
         row = self._rows[self._count % MOST_TIPS]
         row[0], row[1:] = time_s, point
         self._count += 1
@@ -146,7 +146,7 @@ def lag_between(first: Tips, other: Tips) -> Lag | None:
     off_px[pairs < LEAST_SHARE * pairs[none]] = np.nan
     best = int(np.nanargmin(off_px))
     with_px = float(off_px[best])
-    # A minimum between others that are known, or the lag may be longer still.
+    # The minimum must lie between known values, or the lag may be longer.
     about_px = off_px[max(best - 2, 0) : best + 3]
     if len(about_px) < 5 or not np.isfinite(about_px).all():
         return None
@@ -238,7 +238,7 @@ def _median(values: Array, known: NDArray[np.bool_]) -> Array:
 
 
 def _vertex(values: Array) -> float:
-    """Where the parabola through three values at −1, 0, 1 is least, from −1 to 1."""
+    """Return the minimum of the parabola through three values at −1, 0, 1, from −1 to 1."""
     before, here, after = values.tolist()
     bend = before - 2.0 * here + after
     return float(np.clip(0.5 * (before - after) / bend, -1.0, 1.0)) if bend > 0.0 else 0.0

@@ -4,10 +4,10 @@ r"""Diagnosis of a set-up from some frames of every view.
     diagnosis = examine(rig, frames)        # a sequence of `fingerpost.capture.Frame` per view
     print("\n".join(diagnosis.table()))
 
-Each finding says what, where and what would be right. Limits stand as constants, with where they
-come from, beside what they limit: `pictures` (exposure, noise, focus), `hand` (contrast, size),
-`references` and `together` (points, lens, clocks: `fingerpost.consistency`), and `examine`
-(sizes, rates, times).
+Each finding states the problem, its place and the remedy. Limits are constants, with their origin,
+in the module that applies them: `pictures` (exposure, noise, focus), `hand` (contrast, size),
+`references` and `together` (points, lens, clocks: `fingerpost.consistency`), and `examine` (sizes,
+rates, times).
 """
 
 from fingerpost.doctor.examine import DEFAULT_FRAMES, examine, look, reduced

@@ -1,4 +1,4 @@
-"""The examination: frames of every view in, what is wrong out."""
+"""The examination: frames of every view in, findings out."""
 
 from __future__ import annotations
 
@@ -24,51 +24,52 @@ from fingerpost.pointing import DEFAULT_OPTIONS, PlaneView
 from fingerpost.references import Reduction
 
 DEFAULT_FRAMES = 120
-"""Frames of each view that are examined: a hand that moves in them compares the clocks."""
+"""Number of examined frames per view: a hand that moves in them allows a comparison of the clocks.
+"""
 
 PATIENCE_S = 5.0
-"""How long a live view may send nothing while it is looked at."""
+"""Longest silence of a live view during the examination [s]."""
 
 SLOW_FPS = 15.0
-"""Below this rate a hand moves further between two frames than the tracker looks."""
+"""Rate below which a hand moves further between two frames than the tracker's search range."""
 
 UNEQUAL_RATES = 0.1
-"""Views whose rates differ by more than this share are probably not recorded together."""
+"""Relative difference of rates above which views were probably not recorded together."""
 
 GAP_FRAMES = 2.5
-"""Least pause that has lost frames [usual intervals]."""
+"""Least pause that means lost frames [usual intervals]."""
 
 OFF_CENTRE_SHARE = 0.15
-"""How far a principal point may lie from the middle of the image, as a share of the longer side."""
+"""Greatest distance of a principal point from the image centre, relative to the longer side."""
 
 FOCAL_SHARES = (0.3, 8.0)
-"""Focal lengths of real lenses over the longer side of the image."""
+"""Range of focal lengths of real lenses, relative to the longer side of the image."""
 
 LARGEST_KEPT_PX = 800
-"""Large frames are kept so small, for all of them to fit into memory."""
+"""Size to which large frames are reduced, so that all of them fit into memory."""
 
 _ORDER = {Severity.ERROR: 0, Severity.WARNING: 1}
 _STILL_FRAMES = 9
 
 
 def look(sources: Sequence[Source], count: int) -> Iterator[tuple[Frame | Loss | None, ...]]:
-    """Read what `examine` looks at.
+    """Read the frames for `examine`.
 
-    Live views are read together, as the main loop reads them, for their times to be compared.
-    Recorded ones are each read from their start: whether their times meet is for `examine` to say.
+    Live views are read together, as in the main loop, so that their times can be compared. Recorded
+    ones are each read from their start; `examine` reports whether their times overlap.
 
     Parameters
     ----------
     sources
         One open source per view.
     count
-        How many frames of each, above 0.
+        Number of frames of each, above 0.
 
     Yields
     ------
     tuple of Frame, Loss or None
-        One entry per source; None where a recording has ended, or a live view has nothing of
-        that time.
+        One entry per source; None if a recording has ended, or a live view has no frame at that
+        time.
 
     Raises
     ------
@@ -83,7 +84,7 @@ def look(sources: Sequence[Source], count: int) -> Iterator[tuple[Frame | Loss |
 
 
 def reduced(frame: Frame) -> Frame:
-    """Return what is kept of a frame: a large one (`fingerpost.pipeline.LARGEST_PX`) is reduced."""
+    """Reduce a large frame (`fingerpost.pipeline.LARGEST_PX`); return others unchanged."""
     if max(frame.image.shape) <= LARGEST_PX:
         return frame
     picture = Reduction.of(frame.image.shape, LARGEST_KEPT_PX).picture(frame.image)
@@ -98,22 +99,22 @@ def examine(
     damage: Sequence[str] = (),
     notes: Sequence[str] = (),
 ) -> Diagnosis:
-    """Look at some frames of every view and say what is wrong.
+    """Examine some frames of every view.
 
     Parameters
     ----------
     rig
         One view or more.
     frames
-        Frames of each view, in time, at least one; `DEFAULT_FRAMES` from the start of a
-        recording are usual.
+        Frames of each view, in order, at least one; usually `DEFAULT_FRAMES` from the start of a
+        recording.
     sizes_px
-        Width and height of each view's pictures, where frames were `reduced`; all lengths in
-        pixels but sizes are then of what was kept.
+        Width and height of each view's pictures, if frames were `reduced`; all other lengths then
+        refer to the reduced pixels.
     damage
-        How many pictures of each view are damaged, as `Source.damage` says it.
+        Damaged pictures of each view, as in `Source.damage`.
     notes
-        What else there is to say.
+        Further remarks.
 
     Returns
     -------
@@ -122,7 +123,7 @@ def examine(
     Raises
     ------
     InvalidInputError
-        Another number of views than the rig's, or a view without frames.
+        The number of views differs from the rig's, or a view has no frames.
     """
     if len(frames) != len(rig.views):
         raise InvalidInputError(
@@ -162,7 +163,7 @@ def examine(
 
 
 def _judge_damage(views: Sequence[View], damage: Sequence[str]) -> Iterator[Finding]:
-    for view, words in zip(views, damage, strict=False):  # nothing is known without a source
+    for view, words in zip(views, damage, strict=False):  # unknown without a source
         if words:
             yield Finding(
                 Severity.WARNING,
@@ -177,7 +178,7 @@ def _judge_damage(views: Sequence[View], damage: Sequence[str]) -> Iterator[Find
 def _in_pixels_of(
     rig: Rig, frames: Sequence[Sequence[Frame]], sizes_px: Sequence[tuple[int, int]]
 ) -> Rig:
-    """Return the rig in pixels of the frames that were kept."""
+    """Return the rig in pixels of the reduced frames."""
     views = tuple(
         reduced_view(view, Reduction(size_px[0] // own[0].image.shape[1]))
         for view, own, size_px in zip(rig.views, frames, sizes_px, strict=True)
@@ -199,7 +200,7 @@ def _examine_view(
         findings += judge_hand(view.name, hand, view.start, (width, height), len(frames))
     findings += _judge_lens(view, (width, height))
     findings += _judge_times(view.name, frames, has_gaps=has_gaps)
-    # Over the frames that came, fetched or not: a live view gives no more than the slowest.
+    # All received frames count, fetched or not: a step fetches no more than the slowest view has.
     steps = np.diff([frame.time_s for frame in frames])
     steps /= np.maximum(1, np.diff([frame.index for frame in frames]))
     positive = steps[steps > 0.0]
@@ -220,7 +221,7 @@ def _examine_view(
 
 
 def _still(frames: Sequence[Frame]) -> NDArray[np.uint8]:
-    """Median of some frames: what keeps still."""
+    """Return the median of some frames, which shows static parts."""
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _STILL_FRAMES)).astype(int))
     stack = np.stack([frames[k].grey() for k in chosen])
     return np.asarray(np.median(stack, axis=0)).astype(np.uint8)
@@ -298,7 +299,7 @@ def _judge_rates(readings: Sequence[ViewReadings]) -> Iterator[Finding]:
 
 
 def _judge_skew(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Iterator[Finding]:
-    """Say which views cannot be brought to the first one's times, so that there is no fix."""
+    """Find views that cannot be interpolated at the first one's times, so that there is no fix."""
     first = np.array([frame.time_s for frame in frames[0]])
     most_s = DEFAULT_OPTIONS.max_gap_s
     for view, own in zip(rig.views[1:], frames[1:], strict=True):

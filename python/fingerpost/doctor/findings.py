@@ -8,12 +8,12 @@ from typing import Any
 
 
 class Severity(StrEnum):
-    """How much a finding matters."""
+    """Severity of a finding."""
 
     ERROR = "error"
     """It prevents tracking or pointing."""
     WARNING = "warning"
-    """It costs accuracy, or will lose the hand now and then."""
+    """It reduces accuracy, or loses the hand at times."""
 
 
 class Check(StrEnum):
@@ -32,20 +32,20 @@ class Check(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something that is wrong.
+    """A problem.
 
     Attributes
     ----------
     severity
-        How much it matters.
+        Its severity.
     check
-        What was looked at.
+        Its subject.
     view
-        Name of the view, or empty where it concerns several.
+        Name of the view; empty if it concerns several.
     what
-        What is wrong, with the value found.
+        The problem, with the measured value.
     right
-        What would be right.
+        The remedy.
     """
 
     severity: Severity
@@ -68,13 +68,13 @@ class ViewReadings:
     view
         Its name.
     frames
-        How many were looked at.
+        Number of examined frames.
     size_px
         Width and height.
     frames_per_s
         Median rate.
     grey_percentiles
-        1st, 50th and 95th percentile of the grey levels in the region that counts.
+        1st, 50th and 95th percentile of the grey levels in the region of interest.
     clipped
         Share of its pixels at the brightest level, 0 to 1.
     noise
@@ -82,9 +82,9 @@ class ViewReadings:
     blur_px
         Standard deviation of the blur of the sharper edges [px].
     hand_found
-        Whether the tracker settled on a hand.
+        Whether the tracker confirmed a hand.
     contrast
-        Of the finger against what is beside it [grey levels].
+        Contrast of the finger against its surroundings [grey levels].
     finger_px
         Visible length of the index finger [px].
     """
@@ -109,11 +109,11 @@ class Diagnosis:
     Attributes
     ----------
     readings
-        What was measured, one per view.
+        Measurements, one per view.
     findings
-        What is wrong, the gravest first; empty if nothing is.
+        Problems, the gravest first; empty if there are none.
     notes
-        What else there is to say of the pictures: how they are scaled.
+        Further remarks on the pictures, such as their scaling.
     """
 
     readings: tuple[ViewReadings, ...]
@@ -122,7 +122,7 @@ class Diagnosis:
 
     @property
     def serious(self) -> bool:
-        """Whether something prevents tracking or pointing."""
+        """Whether a problem prevents tracking or pointing."""
         return any(finding.severity is Severity.ERROR for finding in self.findings)
 
     def table(self) -> list[str]:
@@ -137,7 +137,7 @@ class Diagnosis:
         return [*rows, *(str(finding) for finding in self.findings)]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything for programs, fit for JSON."""
+        """Return everything for programs, as JSON values."""
         return {
             "serious": self.serious,
             "readings": [asdict(reading) for reading in self.readings],

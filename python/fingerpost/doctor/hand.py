@@ -1,8 +1,8 @@
-"""Whether the hand is there to be tracked, and how it stands out.
+"""Presence and contrast of the hand.
 
-The tracker itself is asked, from the start pose, over the frames that were read. Where it settles,
-contrast and length are those of the hand it follows; where it does not, what lies along the start
-pose is compared with what lies beside it.
+The tracker itself is run from the start pose over the frames. If it confirms a hand, contrast and
+length are those of this hand; otherwise the levels along the start pose are compared with those
+beside it.
 """
 
 from __future__ import annotations
@@ -22,26 +22,27 @@ from fingerpost.doctor.findings import Check, Finding, Severity
 Array = NDArray[np.float64]
 
 CONTRAST = (20.0, 9.0)
-"""Finger against what is beside it [grey levels]: errors are four times those of contrast 80 at the
-first; at 10 the tracker still settled on the simulated rig, at 8 it did not."""
+"""Contrast of the finger against its surroundings [grey levels]: at the first, errors are four
+times those at contrast 80; on the simulated rig the tracker confirmed hands at 10, not at 8."""
 
 NOTHING = 2.5
 """Least contrast of a finger [grey levels]."""
 
 FINGER_PX = (30.0, 15.0)
 """Visible length of the index finger [px]: a line's error grows as length^-3/2; below the second
-its flanks are too short to have a direction."""
+its flanks are too short to define a direction."""
 
 SETTLES_WITHIN = 0.5
-"""A tracker that first settles further than this from the start's tip, in finger lengths, follows
-something else: on real and rendered footage it was 0.3 at most."""
+"""Greatest distance from the start's tip, in finger lengths, at which a tracker that confirms a
+hand follows the right one: on real and rendered footage it was 0.3 at most."""
 
 LARGEST_FINGER_SHARE = 0.7
-"""Of the image's shorter side: a larger hand leaves the image when it points."""
+"""Greatest finger length relative to the image's shorter side: a larger hand leaves the image when
+it points."""
 
-# Levels are read so far inside and outside of an edge [px], clear of its blur.
+# Distances inside and outside an edge at which levels are read [px], beyond its blur.
 _BESIDE_PX = np.arange(3.0, 6.01, 1.0)
-# Width of a finger over its length; what is beside it begins so many widths from its axis.
+# Width of a finger over its length; and distance of its surroundings from its axis, in widths.
 _FINGER_WIDTH = 0.2
 _ALONG = np.linspace(0.25, 0.9, 14)
 _INSIDE = np.linspace(-0.3, 0.3, 7)
@@ -74,7 +75,7 @@ def read_hand(frames: Sequence[Frame], start: Start) -> HandReadings:
         seen = np.isfinite(lines.offset_px)
         edges = (lines.position_px + lines.normal * lines.offset_px[:, None])[seen]
         contrasts.append(_contrast_across(frame, edges, lines.normal[seen]))
-        # The anchor is the middle of the stretch of finger that was measured.
+        # The anchor is the middle of the measured stretch of the finger.
         lengths.append(2.0 * math.dist(line.anchor_px, line.tip_px))
     if contrasts:
         return HandReadings(True, float(np.median(contrasts)), float(np.median(lengths)))
@@ -85,7 +86,7 @@ def read_hand(frames: Sequence[Frame], start: Start) -> HandReadings:
 def judge_hand(
     view: str, readings: HandReadings, start: Start, size_px: tuple[int, int], frames: int
 ) -> Iterator[Finding]:
-    """Say what is wrong with hand and start pose."""
+    """Find problems of hand and start pose."""
     width, height = size_px
     u, v = start.tip_px
     if not (0.0 <= u <= width - 1 and 0.0 <= v <= height - 1):
@@ -154,7 +155,7 @@ def _contrast_across(frame: Frame, edges_px: Array, normals: Array) -> float:
 
 
 def _contrast_at_start(frame: Frame, start: Start) -> float:
-    """How the strip where a finger should be differs from the strips on both its sides."""
+    """Contrast of the strip of the expected finger against the strips on both its sides."""
     angle = math.radians(start.angle_deg)
     along = np.array([math.cos(angle), math.sin(angle)])
     across = np.array([-along[1], along[0]])
@@ -170,7 +171,7 @@ def _contrast_at_start(frame: Frame, start: Start) -> float:
 
 
 def _levels(frame: Frame, places_px: Array) -> Array:
-    """Grey levels at pixels (..., 2), between pixels bilinear, beyond the border the border's."""
+    """Grey levels at pixels (..., 2), bilinear; beyond the border, those of the border."""
     import cv2
 
     u, v = np.moveaxis(places_px.reshape(-1, 1, 2).astype(np.float32), -1, 0)

@@ -1,13 +1,12 @@
 """Exposure, noise and focus of a view's pictures.
 
-Everything is measured where the hand will be: between the reference points, as far as the image
-shows them.
+Everything is measured in the region of the hand: between the reference points, within the image.
 
-- **Noise** from the differences of successive frames, whose median is blind to what moves in less
-  than half of the region; where frames are repeated or compression has frozen them, from the second
+- **Noise** from the differences of successive frames, whose median is insensitive to motion in less
+  than half of the region; if frames are repeated or frozen by compression, from the second
   differences of one frame (Immerkær 1996, with the median in place of the mean).
-- **Blur** from the steepest edges: a step of height A behind a Gaussian of σ rises at most
-  ``A / (√(2π) σ)`` per pixel. The sharper quarter counts: soft edges may be soft in the world.
+- **Blur** from the steepest edges: a step of height A blurred by a Gaussian of σ rises at most
+  ``A / (√(2π) σ)`` per pixel. The sharper quarter is used, as soft edges may be soft in the scene.
 """
 
 from __future__ import annotations
@@ -29,33 +28,33 @@ CLIPPED_LEVEL = 253
 """Grey levels from here up count as clipped."""
 
 CLIPPED_SHARE = (0.25, 0.7)
-"""Above the first share a hand may vanish in places, above the second there is hardly a picture."""
+"""Above the first share parts of a hand may be invisible, above the second nearly all of it."""
 
 DARK_LEVEL = (40.0, 12.0)
-"""95th percentile of the grey levels: below the first, noise and quantisation are large beside any
-contrast; below the second no hand was found on the simulated rig."""
+"""95th percentile of the grey levels: below the first, noise and quantisation are large relative to
+any contrast; below the second no hand was found on the simulated rig."""
 
 NOISE = (8.0, 50.0)
 """Standard deviation of the noise [grey levels]: an error of 1 mm at 2 levels is one of 4 mm at 8;
 at 60, hands of contrast 80 were not found on the simulated rig, at 45 they were."""
 
 BLUR_PX = (2.5, math.inf)
-"""Standard deviation of the blur [px]: beyond, a finger of 15 px has its flanks blurred into each
-other. That costs accuracy; the tracker still follows at 5."""
+"""Standard deviation of the blur [px]: beyond, the flanks of a finger of 15 px merge. That reduces
+accuracy; the tracker still follows at 5."""
 
 _NOISE_PER_MAD = 1.4826
 _LAPLACIAN_GAIN = 6.0
 _FEWEST_PIXELS = 400
-# Frames that are looked at; differences between neighbours, edges in each.
+# Number of frames used: differences between neighbours, edges in each.
 _LOOKED_AT = 5
 _STEEPEST = 3000
 _FLAT = 1e-3
 _PROFILE_PX = np.arange(-10.0, 10.01, 0.5)
-# Profiles are smoothed by so much, which is taken out again: noise would steepen any edge.
+# Smoothing of profiles, for which the result is corrected: noise would steepen any edge.
 _SMOOTHING_PX = 1.5
 _FEWEST_EDGES = 100
 _SHARPER_QUARTER = 25.0
-# An edge is one that rises well out of the noise.
+# Least step of an edge, in standard deviations of the noise and in grey levels.
 _EDGE_IN_NOISE, _EDGE_LEVELS = 8.0, 12.0
 
 
@@ -77,7 +76,7 @@ def read_pictures(frames: Sequence[Grey], region: NDArray[np.bool_]) -> PictureR
     frames
         At least one; (height, width) of uint8.
     region : (height, width)
-        Where it counts.
+        Mask of the region of interest.
     """
     looked_at = [frames[k] for k in _spread(len(frames), _LOOKED_AT)]
     levels = np.concatenate([frame[region] for frame in looked_at])
@@ -92,7 +91,7 @@ def read_pictures(frames: Sequence[Grey], region: NDArray[np.bool_]) -> PictureR
 
 
 def judge_pictures(view: str, readings: PictureReadings) -> Iterator[Finding]:
-    """Say what is wrong with them."""
+    """Find problems of the pictures."""
     severity = _above(readings.clipped, CLIPPED_SHARE)
     if severity is not None:
         yield Finding(
@@ -134,7 +133,7 @@ def judge_pictures(view: str, readings: PictureReadings) -> Iterator[Finding]:
 
 
 def region_between(points_px: Array, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Where an image shows what lies between points (N, 2); all of it if that is next to nothing.
+    """Return the mask of the region between points (N, 2); the whole image if that is tiny.
 
     Parameters
     ----------
@@ -153,7 +152,7 @@ def region_between(points_px: Array, shape: tuple[int, int]) -> NDArray[np.bool_
 
 
 def _above(value: float, limits: tuple[float, float]) -> Severity | None:
-    """Give the severity of a value that should stay below the first limit, or None."""
+    """Return the severity of a value that should be below the first limit, or None."""
     if value <= limits[0]:
         return None
     return Severity.ERROR if value > limits[1] else Severity.WARNING
@@ -188,18 +187,18 @@ def _noise_within(frame: Grey, region: NDArray[np.bool_]) -> float:
 
 
 def _spread_of(values: NDArray[np.generic]) -> float:
-    """Robust standard deviation about 0; levels are whole, so the median is taken between them."""
+    """Robust standard deviation about 0, with the median interpolated between integer levels."""
     size = np.abs(values.astype(np.float64))
     median = float(np.median(size))
     below, at = float(np.mean(size < median)), float(np.mean(size == median))
     if median == 0.0:
-        # More than half is the same: what there is of noise is less than rounding shows.
+        # More than half are equal: the noise is below the rounding.
         return 0.0 if at > 0.9 else _NOISE_PER_MAD * 0.5 * (0.5 / at)
     return _NOISE_PER_MAD * (median - 0.5 + (0.5 - below) / at)
 
 
 def _blur_px(frames: Sequence[Grey], region: NDArray[np.bool_], noise: float) -> float | None:
-    """Blur of the sharper edges; None without edges enough."""
+    """Blur of the sharper edges; None with too few edges."""
     each = np.concatenate([_edge_blurs_px(frame, region, noise) for frame in frames])
     if len(each) < _FEWEST_EDGES:
         return None
@@ -225,7 +224,7 @@ def _edge_blurs_px(frame: Grey, region: NDArray[np.bool_], noise: float) -> Arra
     across = gradient[row, column] / steepness[row, column, None]
     place = np.stack([column, row], axis=-1)[:, None] + across[:, None] * _PROFILE_PX[:, None]
     place = place.astype(np.float32)
-    # Averaged over a few pixels along the edge, which keeps it as sharp as it is.
+    # Averaged over a few pixels along the edge, which does not blur it.
     along = np.stack([-across[:, 1], across[:, 0]], axis=-1)[:, None].astype(np.float32)
     profile = np.mean(
         [

@@ -1,15 +1,15 @@
 """Tests of the reference points.
 
 - *outside*: most of them lie outside the image (`fingerpost.admission.points_outside`);
-- *mirrored*: the homographies of all views keep or reverse the sense of rotation alike, for all
-  cameras stand on one side of the plane (`fingerpost.admission.different_sides`);
-- *elsewhere*: carried onto the plane, the views show one and the same table; where they do not,
-  and would if a mistake were undone that people make, it is named (`fingerpost.consistency`);
+- *mirrored*: the homographies of the views do not have the same sense of rotation, although all
+  cameras are on one side of the plane (`fingerpost.admission.different_sides`);
+- *elsewhere*: rectified to the plane, the views do not show the same table, but would if a common
+  mistake were corrected, which is named (`fingerpost.consistency`);
 - *weak*: errors of the points grow inside the workspace (`fingerpost.advise.reference_weakness`);
-- *inconsistent*: with more than four points, one is off by more than it can be;
-- *off their corner*: a sharp corner stands beside the point rather than under it. Points without
-  any sharp corner nearby, as crossings of lines or round corners have, are left alone, and so are
-  those where the hand waits.
+- *inconsistent*: with more than four points, the residual of one is too large;
+- *off their corner*: a sharp corner is beside the point rather than at it. Points without any sharp
+  corner nearby, such as crossings of lines or round corners, are not tested, and neither are those
+  near the start pose of the hand.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 WEAKNESS = (2.0, 8.0)
-"""How much errors of the points grow inside the workspace; between four corners well apart: below
-1. At the second, half a pixel is four."""
+"""Growth of the points' errors inside the workspace; below 1 between four corners well apart. At
+the second, half a pixel becomes four."""
 
 INCONSISTENT_SIGMAS = 5.0
 """Residual of one of N > 4 points, in standard deviations of a point."""
 
 CORNER_PX = (3.0, 8.0)
-"""A sharp corner nearer than the first is the point's own; one nearer than the second, if there is
-no nearer one, was probably meant. Corners of rendered sheets were within 0.7 px."""
+"""A sharp corner nearer than the first is the point's own; one nearer than the second, without a
+nearer one, is probably the intended one. Corners of rendered sheets were within 0.7 px."""
 
 SHARP_CORNER = 0.02
 """Smaller eigenvalue of the structure tensor over the squared local contrast: 0.03 to 0.12 at
 sheet corners, below 0.01 at round ones."""
 
-# How far around the waiting fingertip points may be covered by the hand, in finger lengths.
+# Radius about the start pose's tip in which the hand may cover points, in finger lengths.
 _HAND_LENGTHS = 1.5
 _LEAST_CONTRAST = 12.0
 
@@ -54,16 +54,16 @@ _LEAST_CONTRAST = 12.0
 def judge_views(
     rig: Rig, plane_views: Sequence[PlaneView], stills: Sequence[Grey]
 ) -> Iterator[Finding]:
-    """Say what is wrong with the reference points of each view.
+    """Find problems of the reference points of each view.
 
     Parameters
     ----------
     rig
         The rig.
     plane_views
-        Its views as they see the plane.
+        Homographies of its views.
     stills
-        One picture of each without what moves.
+        One picture of each without moving objects.
     """
     for view, plane_view, still in zip(rig.views, plane_views, stills, strict=True):
         points_px = np.array(view.reference_points_px)
@@ -79,7 +79,7 @@ def judge_views(
 def judge_together(
     rig: Rig, plane_views: Sequence[PlaneView], stills: Sequence[Grey]
 ) -> Iterator[Finding]:
-    """Say what is wrong between the views."""
+    """Find contradictions between the views."""
     if (wrong := different_sides(rig, plane_views)) is not None:
         yield Finding(Severity.ERROR, Check.REFERENCES, "", *wrong)
         return
@@ -96,14 +96,14 @@ def judge_together(
 
 
 def judge_sizes(rig: Rig, sizes_px: Sequence[tuple[int, int]]) -> Iterator[Finding]:
-    """Say which views have pictures of another size than their points were measured in."""
+    """Find views whose pictures have another size than those in which points were measured."""
     for view, size_px in zip(rig.views, sizes_px, strict=True):
         if (wrong := other_size(view, size_px)) is not None:
             yield Finding(Severity.ERROR, Check.REFERENCES, view.name, *wrong)
 
 
 def _judge_scenery(rig: Rig, stills: Sequence[Grey]) -> Iterator[Finding]:
-    """Say what the views of the plane belie."""
+    """Find contradictions between rig and texture of the plane."""
     scenery = Scenery(rig, stills)
     for k in scenery.plain():
         yield Finding(
@@ -175,7 +175,7 @@ def _near_hand(view: View, point: Array) -> bool:
 
 
 def _corner_beside(still: Grey, point: Array) -> Array | None:
-    """Sharp corner that stands near a point with none on it; None if there is no such."""
+    """Sharp corner near a point that has none itself; None without one."""
     import cv2
 
     height, width = still.shape

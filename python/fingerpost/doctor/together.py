@@ -1,4 +1,4 @@
-"""Whether the views show one hand at one time: the main loop itself is asked."""
+"""Test whether the views show one hand at one time, by the main loop itself."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from fingerpost.errors import FingerpostError
 from fingerpost.pipeline import Pointer
 
 FEWEST_FRAMES = 3
-"""With fewer nothing is seen to move, and no picture to be given out again and again."""
+"""Least number of frames to detect motion and repeated pictures."""
 
 
 def judge_times_by_motion(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Iterator[Finding]:
-    """Say which views lag behind others, or hand out old pictures, by how the hand moves.
+    """Find views that lag behind others or repeat pictures, by the motion of the hand.
 
-    Nothing is said of a rig that cannot point, nor where no hand is seen to move in both views.
+    Nothing is found for an unusable rig, or without a moving hand in both views.
     """
     if min(map(len, frames)) < FEWEST_FRAMES:
         return

@@ -5,13 +5,13 @@ r"""The accuracy experiment of the paper's section 3.3, and beyond.
     print("\n".join(result.table()))
     result.draw("experiment.png")
 
-A device at a random pose points at a random target. The views are pictured a few times with fresh
-noise, one tracker per view starts from a start pose that is off by some pixels, degrees and percent
-and settles, the reference points are off as well, and what the pointer (`fingerpost.Pointer`, the
-same as for real cameras) gives for the last images is compared with the exact truth.
-`run_recording` does the same on footage whose truth is known.
+A device at a random pose points at a random target. The views are rendered a few times with fresh
+noise. One tracker per view starts from a start pose with an error of some pixels, degrees and
+percent and converges; the reference points have errors as well. The result of the pointer
+(`fingerpost.Pointer`, the same as for real cameras) for the last images is compared with the exact
+truth. `run_recording` does the same on footage with known truth.
 
-`summary` says what each figure means, `bound` what the physics allows.
+`summary` defines each figure, `bound` gives the theoretical limit.
 """
 
 from fingerpost.experiment.footage import run_recording, score_points

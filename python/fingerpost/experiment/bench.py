@@ -1,4 +1,4 @@
-"""The simulated test bench: a device points at a target, a pointer says where, truth is exact."""
+"""The simulated test bench: a device points at a target, a pointer estimates it, truth is exact."""
 
 from collections.abc import Iterator, Sequence
 
@@ -30,13 +30,13 @@ from fingerpost.simulated_rig_file import rig_from_simulation
 
 Array = NDArray[np.float64]
 
-# Reference points that are known exactly have this standard deviation [px], for the pointer weighs
-# them by one: far below any noise.
+# Standard deviation of exactly known reference points [px], as the pointer requires one: far below
+# any noise.
 _EXACT_PX = 1e-6
 
 
 class Bench:
-    """Everything that is the same for all targets of an experiment.
+    """Common part of all targets of an experiment.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Bench:
             lighting=options.lighting,
             sensor=options.sensor,
         )
-        check_tracker_options(options.tracker)  # here, not in the middle of the work
+        check_tracker_options(options.tracker)  # here, not during the experiment
         self._sampler = PoseSampler(self._rig, options.limits)
         is_known = options.lens == "known"
         self._lenses = [_lens(camera) if is_known else None for camera in self._rig.cameras]
@@ -89,12 +89,12 @@ class Bench:
         Parameters
         ----------
         index
-            Number of the target, ≥ 0. Everything random about it comes from the experiment's seed
-            and this number alone.
+            Number of the target, ≥ 0. Its random numbers depend only on the experiment's seed and
+            this number.
         repeat
-            The same pose and start are pictured with other noise for every number ≥ 0.
+            Number ≥ 0 of a repetition with the same pose and start but other noise.
         mirrored
-            Whether the noise of that repeat has the other sign (see `SimulatedRig.render`).
+            Whether the noise of that repetition has the opposite sign (see `SimulatedRig.render`).
         """
         rng = np.random.default_rng([self._options.seed, index])
         device = self._device(rng)
@@ -107,7 +107,7 @@ class Bench:
             reference_sigma_px=max(self._options.reference_noise_px, _EXACT_PX),
         )
         noise = rng if repeat == 0 else np.random.default_rng([self._options.seed, index, repeat])
-        # Of all the frames only the last one's answer counts.
+        # Only the fix of the last frame is used.
         *_, last = steps(pointer, self._frames(motion, device, noise, mirrored=mirrored))
         fingers = self._fingers(pose, device)
         bounds = self._line_bounds(pose, device, fingers)
@@ -116,7 +116,7 @@ class Bench:
             last,
             pointer.plane_views,
             index=index,
-            target=np.asarray(pose.indicated_mm),  # poses that are drawn point down at the plane
+            target=np.asarray(pose.indicated_mm),  # all sampled poses point down at the plane
             bound=point_bound(self._exact_views, known) if len(known) == len(bounds) else None,
             lines=_line_trials(last.observations, pointer.plane_views, fingers, bounds),
         )
@@ -143,7 +143,7 @@ class Bench:
     def _motion(
         self, pose: DevicePose, device: PointingDevice, rng: np.random.Generator
     ) -> DevicePose | Trajectory:
-        """Keep still at the pose, or come to it from where the trackers were started."""
+        """Stay at the pose, or move to it from the trackers' start pose."""
         options = self._options
         if options.approach_frames == 0:
             return pose
@@ -153,7 +153,7 @@ class Bench:
         return Trajectory.hold(first, start_s).then(Trajectory.between(first, pose, duration_s))
 
     def _as_configured(self, fingers: Sequence[FingerTruth], rng: np.random.Generator) -> Rig:
-        """Rig file that a user would have written: nearly right."""
+        """Return a rig as a user would configure it, with small errors."""
         options = self._options
         points_px, starts = [], []
         for exact_px, finger in zip(self._rig.reference_points_px, fingers, strict=True):

@@ -1,21 +1,21 @@
-"""The Cramér–Rao bound: how small the error of an unbiased estimate can be in a given picture.
+"""The Cramér–Rao bound: least error of an unbiased estimate from a given picture.
 
 A step edge of contrast A behind a Gaussian blur σ_b and a pixel's aperture, in white noise σ_n,
 determines its position across itself with the Fisher information, per pixel of contour,
 
     I = A² / (2 √π · s · σ_n²),   s² = σ_b² + 1/12.
 
-The bound knows nothing of the hand but two straight flanks, each free: a flank on side σ = ±1 lies
-``σ (d + ϑ p) + w₀ + w₁ p`` outwards at the abscissa p along the finger, with the axis's offset d
-and angle ϑ wanted and the width w₀ and taper w₁ unknown. With ``J = (σ, σ p, 1, p)`` the
-information on the four is ``∫ I · J Jᵀ ds`` over both flanks as far as the picture shows them:
-neither outside the image nor where the thumb lies before or behind them. Its inverse bounds
-(d, ϑ). The axes of all views then bound the indicated point to first order, as in
-`fingerpost.uncertainty`, at the true point and with the reference points' covariance.
+The model of the hand is two straight, independent flanks: a flank on side σ = ±1 lies
+``σ (d + ϑ p) + w₀ + w₁ p`` outwards at the abscissa p along the finger, where the axis's offset d
+and angle ϑ are to be estimated and the width w₀ and taper w₁ are unknown. With
+``J = (σ, σ p, 1, p)`` the information on the four is ``∫ I · J Jᵀ ds`` over the visible parts of
+both flanks: inside the image, and without overlap of the thumb. Its inverse bounds (d, ϑ). The axes
+of all views then bound the indicated point to first order, as in `fingerpost.uncertainty`, at the
+true point and with the reference points' covariance.
 
-It bounds one picture of each view and a uniformly bright finger on a plain table. A tracker that
-knows more (the finger's width, earlier pictures) may do better; with shading the true bound is
-another.
+The bound is for one picture of each view and a uniformly bright finger on a plain table. A tracker
+with more information (the finger's width, earlier pictures) may be better; with shading the true
+bound is different.
 """
 
 import math
@@ -31,9 +31,9 @@ from fingerpost.simulate.device import Body
 from fingerpost.simulate.occlusion import CONTOUR_STEP_PX, visible_contour
 from fingerpost.uncertainty import constraint_lines, intersect
 
-# Contour points this near a flank belong to it: a lens bends it by less between two vertices.
+# Distance of contour points from their flank; a lens bends it by less between two vertices.
 _ON_FLANK_PX = 1e-3
-# A shorter piece of a flank fixes no direction.
+# Shorter pieces of a flank determine no direction.
 _LEAST_FLANK_PX = 2.0
 
 
@@ -46,9 +46,9 @@ class LineBound:
     anchor_px : (2,)
         The middle of the flanks, on the exact axis [ideal px].
     angle_rad
-        Of the exact axis [rad].
+        Angle of the exact axis [rad].
     covariance : (2, 2)
-        Of offset [px] at the anchor and angle [rad].
+        Covariance of offset [px] at the anchor and angle [rad].
     """
 
     anchor_px: NDArray[np.float64]
@@ -56,14 +56,14 @@ class LineBound:
     covariance: NDArray[np.float64]
 
     def at(self, point_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Covariance of the offset abreast of another point, and of the angle."""
+        """Return the covariance of the offset at another abscissa, and of the angle."""
         along = (point_px - self.anchor_px) @ (math.cos(self.angle_rad), math.sin(self.angle_rad))
         shift = np.array([[1.0, along], [0.0, 1.0]])
         return np.asarray(shift @ self.covariance @ shift.T)
 
 
 def edge_information(contrast: float, noise: float, blur_px: float) -> float:
-    """Fisher information on an edge's place across itself, per pixel of contour [px⁻³].
+    """Fisher information on an edge's position along its normal, per pixel of contour [px⁻³].
 
     Parameters
     ----------
@@ -86,16 +86,16 @@ def line_bound(
     Parameters
     ----------
     camera, body, pose
-        What is pictured.
+        The rendered view.
     finger
-        Its truth in this view.
+        Truth of the finger in this view.
     information
-        As `edge_information` gives it.
+        Result of `edge_information`.
 
     Returns
     -------
     LineBound or None
-        None if the picture shows a stretch of only one flank, or of none.
+        None unless both flanks are visible in part.
     """
     contour = camera.ideal(visible_contour(camera, body, pose)[0])
     anchor = finger.flanks_px.mean(axis=(0, 1))
@@ -109,8 +109,8 @@ def line_bound(
         p = (contour[on_flank] - anchor) @ along
         if len(p) * CONTOUR_STEP_PX < _LEAST_FLANK_PX:
             return None
-        # A flank at an angle to the axis moves across itself by the cosine of what it moves
-        # across the axis.
+        # The motion of a flank along its own normal is that along the axis's normal times the
+        # cosine of the angle between them.
         step = (flank @ along) ** 2 * CONTOUR_STEP_PX
         moments.append([step * (p**power).sum() for power in (0, 1, 2)])
     covariance = axis_covariance(np.array(moments), information)
@@ -125,20 +125,20 @@ def axis_covariance(
     Parameters
     ----------
     flank_moments_px : (..., 2, 3)
-        ``∫ (1, p, p²) ds`` over the stretches of the left and of the right flank that are seen,
-        p counting from the anchor along the axis [px, px², px³].
+        ``∫ (1, p, p²) ds`` over the visible stretches of the left and of the right flank, with p
+        from the anchor along the axis [px, px², px³].
     information
-        As `edge_information` gives it.
+        Result of `edge_information`.
 
     Returns
     -------
     (..., 2, 2)
-        Of offset [px] at the anchor and angle [rad].
+        Covariance of offset [px] at the anchor and angle [rad].
     """
     m0, m1, m2 = np.moveaxis(flank_moments_px, -1, 0)
     straight = np.stack([np.stack([m0, m1], axis=-1), np.stack([m1, m2], axis=-1)], axis=-1)
-    # J = (σ, σ p, 1, p) makes four blocks of the same moments: those of d and ϑ, of w₀ and w₁, and
-    # between them, where the flanks' signs cancel what they share.
+    # J = (σ, σ p, 1, p) gives four blocks of the same moments: of d and ϑ, of w₀ and w₁, and mixed
+    # ones, in which the flanks' moments have opposite signs.
     both, between = straight.sum(axis=-3), straight[..., 1, :, :] - straight[..., 0, :, :]
     hidden = between @ np.linalg.solve(both, between)
     return np.asarray(np.linalg.inv(information * (both - hidden)))

@@ -1,4 +1,4 @@
-"""A picture of an experiment: where the points fell, and whether the ellipses kept their word."""
+"""A picture of an experiment: the indicated points, and the coverage of the ellipses."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ _HELD: Colour = (176, 118, 30)
 _MISSED: Colour = (50, 60, 215)
 _RECIPE: Colour = (30, 140, 240)
 
-# More targets than these would hide each other; the figures count all of them.
+# Number of targets that are drawn, as more would overlap; the figures include all of them.
 _MOST_DRAWN = 400
-# Ellipses are drawn so much larger that the usual one spans this share of the plane.
+# Ellipses are enlarged so that the typical one spans this share of the plane.
 _VISIBLE_SHARE = 0.02
 _MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-# The plan view shows so much around the plane, as a share of its side.
+# Margin of the plan view around the plane, as a share of its side.
 _MARGIN = 0.04
 
 _SQUARE = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
@@ -203,7 +203,7 @@ def _draw_coverage(page: Sheet, trials: Sequence[Trial], summary: Summary) -> No
     ticks = np.linspace(0.0, 1.0, 6).tolist()
     plot.grid(ticks, [f"{100 * tick:g} %" for tick in ticks])
     sheet.line(np.array([(0.0, 0.0), (1.0, 1.0)]), _FAINT, 1)
-    # An ellipse of confidence p holds what lies within −2 ln(1 − p).
+    # An ellipse of confidence p contains squared distances up to −2 ln(1 − p).
     held = np.searchsorted(squared, -2.0 * np.log1p(-nominal), side="right") / len(squared)
     sheet.line(np.column_stack([nominal, held]), _HELD, 2)
     plot.frame()
@@ -226,7 +226,7 @@ def _draw_coverage(page: Sheet, trials: Sequence[Trial], summary: Summary) -> No
 
 
 def _figures(summary: Summary, unit: str, plane_size: float) -> list[str]:
-    """List the figures that matter most."""
+    """Return the most important figures."""
     gross = f"{summary.gross} gross errors > {number(GROSS_SHARE * plane_size)} {unit}"
     lines = [f"{summary.available} of {summary.targets} targets have a point; {gross}"]
     points = summary.points
@@ -257,7 +257,7 @@ def _figures(summary: Summary, unit: str, plane_size: float) -> list[str]:
 
 
 def _magnification(trials: Sequence[Trial], span: float) -> int:
-    """How much larger errors and ellipses are drawn, so that the usual ellipse can be seen."""
+    """Return the magnification of errors and ellipses, so that the typical ellipse is visible."""
     reaches = [
         math.sqrt(np.linalg.eigvalsh(trial.covariance)[-1])
         for trial in trials
@@ -269,6 +269,6 @@ def _magnification(trials: Sequence[Trial], span: float) -> int:
 
 
 def _tick_step(span: float) -> float:
-    """Give a round number that goes four to ten times into a span."""
+    """Return a round number that divides a span into four to ten parts."""
     power = float(10.0 ** math.floor(math.log10(span / 4.0)))
     return max(step for step in (power, 2 * power, 5 * power) if step <= span / 4.0)

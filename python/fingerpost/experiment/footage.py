@@ -1,4 +1,4 @@
-"""The experiment on footage: the same figures, where a file gives the truth."""
+"""The experiment on footage: the same figures, with truth from a file."""
 
 import csv
 import math
@@ -22,7 +22,8 @@ from fingerpost.recording import PointRow, read_points
 
 _COLUMNS = ("frame", "x", "y")
 
-# Times of one frame differ by less: tables round to hundredths. Half a frame at 50 per second.
+# Greatest difference of the times of one frame, by rounding to hundredths: half a frame at 50 per
+# second.
 _ROUNDING_S = 0.01
 
 
@@ -49,27 +50,26 @@ def run_recording(
         The rig file (`fingerpost.config.Rig`).
     truth_path
         CSV with the columns ``frame`` (index in the source of the first view), ``x`` and ``y``
-        (plane units) and perhaps ``time_s`` (from the start of the recording) and others. Frames
-        without a row, and rows without x and y, are skipped. Where the first view is a video,
-        whose frames have times, a row's time must be its frame's.
+        (plane units), and optionally ``time_s`` (from the start of the recording) and others.
+        Frames without a row, and rows without x and y, are skipped. If the first view is a video,
+        whose frames have times, a row's time must equal its frame's.
     progress
-        Called with the number of rows met and of all.
+        Called with the number of processed rows and of all.
     **options
-        Those of `fingerpost.Pointer`.
+        Keyword arguments of `fingerpost.Pointer`.
 
     Returns
     -------
     ExperimentResult
-        One trial per frame that has a truth; without bound and finger lines, whose truth is
-        unknown.
+        One trial per frame with a truth; without bound and finger lines, whose truth is unknown.
 
     Raises
     ------
     RigError, CaptureError
         A rig file or a source that cannot be used.
     InvalidInputError
-        A truth that cannot be read, belongs to no frame of the recording or has a frame at another
-        time, or options that cannot be used.
+        A truth that cannot be read, does not belong to the recording, or has a frame at another
+        time, or invalid options.
     """
     rig = Rig.load(rig_path)
     truth = _read_truth(Path(truth_path))
@@ -94,17 +94,17 @@ def run_recording(
 def score_points(
     rig_path: str | Path, points_path: str | Path, truth_path: str | Path
 ) -> ExperimentResult:
-    """Compare points that any program found in a recording with the truth.
+    """Compare points that any program has found in a recording with the truth.
 
     Parameters
     ----------
     rig_path
-        The rig file, whose plane and unit count; no footage is read.
+        The rig file, for plane and unit; no footage is read.
     points_path
-        A `points.csv` (`fingerpost.recording.read_points`). Frames with a truth and without a row
-        are lost; points may lack a covariance.
+        A `points.csv` (`fingerpost.recording.read_points`). Frames with a truth but without a row
+        count as lost; points may lack a covariance.
     truth_path
-        As of `run_recording`.
+        As in `run_recording`.
 
     Returns
     -------
@@ -135,7 +135,7 @@ def score_points(
 
 
 def _scored(row: PointRow, target: NDArray[np.float64]) -> Trial:
-    """Put a row of a table beside what is true of its frame."""
+    """Compare a row of a table with the truth of its frame."""
     status = Status(row.status)
     if row.x is None or row.y is None:
         return Trial(row.frame, target, status, row.reason)
@@ -168,7 +168,7 @@ def _result(
 
 
 def _refuse_other_time(row: _TrueRow, frame: int, time_s: float) -> None:
-    """Refuse a truth of other footage, or one that counts frames otherwise."""
+    """Refuse a truth of other footage, or with another numbering of frames."""
     if row.time_s is not None and abs(row.time_s - time_s) > _ROUNDING_S:
         raise InvalidInputError(
             f"{row.place}: time_s of frame {frame} is {row.time_s:g}, but the recording shows "

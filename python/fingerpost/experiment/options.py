@@ -21,43 +21,43 @@ from fingerpost.simulate import (
 class ExperimentOptions:
     """One accuracy experiment; the defaults are the paper's rig at its ordinary settings.
 
-    The nested options say what they mean, their units and ranges beside their own fields: cameras,
+    The nested options are documented, with units and ranges, in their own classes: cameras,
     resolution and lens in `Placement`, contrast and shading in `Lighting`, noise and blur in
     `Sensor`, hover, slant and azimuth in `PoseLimits`.
     """
 
     tracker: Mapping[str, Any] = field(default_factory=dict)
     """Deviations from the defaults of `fingerpost.ContourTracker`, such as
-    ``{"model": "paper"}``; any option of the tracker may stand here."""
+    ``{"model": "paper"}``."""
 
     targets: int = 400
-    """Indicated points, each with a pose of its own, 1 to 1,000,000."""
+    """Number of indicated points, each with its own pose, 1 to 1,000,000."""
 
     seed: int = 0
-    """Of everything random, ≥ 0. Poses, start errors and noise do not depend on the tracker, so
-    runs with one seed compare trackers on the same pictures."""
+    """Seed of all random numbers, ≥ 0. Poses, start errors and noise do not depend on the tracker,
+    so runs with one seed compare trackers on the same pictures."""
 
     frames: int = 8
-    """Pictures of each pose, 1 to 1000, with fresh noise. The tracker settles on them; only what
-    its result for the last one counts."""
+    """Number of pictures of each pose, 1 to 1000, with fresh noise. The tracker converges on them;
+    only the result for the last one is used."""
 
     background_frames: int = 0
-    """Pictures of the table alone that come before, 0 to 10,000: enough of them, and the pointer
-    knows what is behind the device."""
+    """Number of preceding pictures of the table alone, 0 to 10,000: with enough of them, the
+    pointer learns the background."""
 
     approach_frames: int = 0
-    """Pictures of the way to the pose from another one, drawn alike, 0 to 10,000. The trackers are
-    started there, and settle on `frames` pictures of it: the paper's operator holds the hand up to
-    a template before pointing. 0: they are started at the pose itself."""
+    """Number of pictures of the path to the pose from another random one, 0 to 10,000. The trackers
+    are started at that one, and converge on `frames` pictures of it: the paper's operator holds the
+    hand up to a template before pointing. 0: they are started at the pose itself."""
 
     frames_per_s: float = 30.0
-    """How fast they follow each other [1/s], 0.1 to 1000."""
+    """Frame rate of the pictures [1/s], 0.1 to 1000."""
 
     device: Literal["rod", "hand"] = "rod"
     """Pointing device: the rod and prong of section 3.3, or a hand with its thumb up."""
 
     taper: float = 0.10
-    """How much thinner the tip is than the base, of the diameter, 0 to 0.6."""
+    """Reduction of the diameter from base to tip, as a share, 0 to 0.6."""
 
     length_mm: tuple[float, float] = (70.0, 90.0)
     """Length of rod or index finger [mm], 50 to 130; uniform in this range."""
@@ -66,16 +66,16 @@ class ExperimentOptions:
     """Angle between prong or thumb and pointing direction [deg], 40 to 110; uniform."""
 
     start_offset_px: tuple[float, float] = (0.0, 8.0)
-    """By how much the start pose misses the tip [px], 0 to 500; uniform, in any direction."""
+    """Error of the start pose's tip [px], 0 to 500; uniform, in any direction."""
 
     start_angle_deg: tuple[float, float] = (0.0, 8.0)
-    """By how much it misses the direction [deg], 0 to 180; uniform, to either side."""
+    """Error of its direction [deg], 0 to 180; uniform, of either sign."""
 
     start_scale: tuple[float, float] = (0.9, 1.1)
-    """Its length over the finger's, 0.1 to 10; uniform."""
+    """Ratio of its length to the finger's, 0.1 to 10; uniform."""
 
     reference_noise_px: float = 0.1
-    """Standard deviation of each reference point in u and in v [px], 0 to 20; drawn anew for every
+    """Standard deviation of each reference point in u and in v [px], 0 to 20; drawn for every
     target, and known to the pointer. 0: known exactly."""
 
     lens: Literal["known", "ignored"] = "known"

@@ -23,9 +23,9 @@ class ExperimentResult:
     Attributes
     ----------
     title
-        What was done, under which conditions: lines of text.
+        The experiment and its conditions: lines of text.
     settings
-        The same, complete and for programs.
+        The same, complete, as JSON values.
     unit
         Name of the plane's unit.
     plane_size
@@ -45,7 +45,7 @@ class ExperimentResult:
 
     @cached_property
     def summary(self) -> Summary:
-        """The figures; `fingerpost.experiment.summary` says what each means."""
+        """The figures; `fingerpost.experiment.summary` defines each."""
         return summarise(self.trials, self.plane_size)
 
     def table(self) -> list[str]:
@@ -53,7 +53,7 @@ class ExperimentResult:
         return [*self.title, "", *table_lines(self.summary, self.unit, self.plane_size)]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return settings and figures, fit for JSON: None where there is no number."""
+        """Return settings and figures, as JSON values: None where there is no number."""
         return {
             "settings": _for_json(self.settings),
             "unit": self.unit,
@@ -67,17 +67,17 @@ class ExperimentResult:
         Parameters
         ----------
         path
-            An image file; its suffix, such as ``.png``, says which kind.
+            An image file; its suffix, such as ``.png``, determines the format.
 
         Raises
         ------
         InvalidInputError
-            The file cannot be written, or images of its kind cannot; or points have no covariance,
-            and so no ellipses.
+            The file or its format cannot be written; or points have no covariance, and so no
+            ellipses.
         """
         if self.summary.points is not None and not self.summary.points.coverages:
             raise InvalidInputError(f"{path}: points without cov_xx, cov_xy, cov_yy are not drawn")
-        from fingerpost.experiment.drawing import draw_result  # OpenCV takes its time to load
+        from fingerpost.experiment.drawing import draw_result  # OpenCV is slow to load
 
         draw_result(self, Path(path))
 

@@ -1,4 +1,4 @@
-"""Run an experiment on all cores."""
+"""Runs an experiment on all cores."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import as_completed
@@ -11,9 +11,9 @@ from fingerpost.experiment.trial import Trial
 from fingerpost.workers import sharing, worker_count
 
 Progress = Callable[[int, int], None]
-"""Called with the number of targets done and of all."""
+"""Called with the number of completed targets and of all."""
 
-# Targets that a worker takes at a time: a second's work or less, so that progress is seen.
+# Targets per job of a worker: a second's work or less, so that progress is visible.
 _CHUNK = 4
 
 
@@ -23,18 +23,18 @@ def run_experiment(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> ExperimentResult:
-    """Point at random targets and compare the answers with the truth: section 3.3 of the paper.
+    """Point at random targets and compare the results with the truth: section 3.3 of the paper.
 
     Parameters
     ----------
     options
-        What to vary; default: the paper's rig with the default tracker.
+        Options; default: the paper's rig with the default tracker.
     workers
-        Processes to share the work, ≥ 1; 1 works in this process, None uses all cores. The result
-        is the same to the last bit. More than one are started afresh ("spawn"), so a script needs
-        the usual ``if __name__ == "__main__":``.
+        Number of processes, ≥ 1; 1 works in this process, None uses all cores. The result is the
+        same to the last bit. More than one are started afresh ("spawn"), so a script needs the
+        usual ``if __name__ == "__main__":``.
     progress
-        Called in this process as targets are done: ``progress(done, targets)``.
+        Called in this process when targets are done: ``progress(done, targets)``.
 
     Returns
     -------
@@ -43,14 +43,14 @@ def run_experiment(
     Raises
     ------
     InvalidInputError
-        Options that contradict each other, that the tracker refuses, or under which no pose is
-        seen well by every camera.
+        Options that contradict each other, that the tracker refuses, or under which no pose is well
+        visible in all cameras.
     FingerpostError
         A worker died.
     """
     options = options or ExperimentOptions()
     workers = worker_count(workers)
-    bench = Bench(options)  # refuses what cannot be before any process is started
+    bench = Bench(options)  # refuses invalid options before any process is started
     trials: list[Trial] = []
     chunks = _inline(bench, options) if workers == 1 else _shared_out(options, workers)
     for chunk in chunks:
@@ -84,7 +84,7 @@ def _shared_out(options: ExperimentOptions, workers: int) -> Iterator[list[Trial
             yield future.result()
 
 
-# The worker's own bench: the table of a cluttered scene takes longer to paint than many trials.
+# The worker's own bench: the table of a cluttered scene takes longer to draw than many trials.
 _bench: Bench | None = None
 
 

@@ -1,17 +1,17 @@
 """The figures of an experiment, each with its formula.
 
-With e the error of a point, Σ the covariance that its fix states, and n points:
+With e the error of a point, Σ the covariance of its fix, and n points:
 
-- *gross errors*: ``|e|`` above `GROSS_SHARE` of the plane (20 mm of 400 mm). They are left out of
-  RMS, mean error, NEES and efficiency, and of nothing else.
+- *gross errors*: ``|e|`` above `GROSS_SHARE` of the plane (20 mm of 400 mm). They are excluded from
+  RMS, mean error, NEES and efficiency only.
 - *RMS* ``√(mean |e|²)``; median and 95th percentile of ``|e|``.
 - *coverage* at p: share of the points with ``eᵀ Σ⁻¹ e ≤ −2 ln(1 − p)``.
-- *NEES* (normalised estimation error squared) ``mean(eᵀ Σ⁻¹ e) / dof``: 1 if Σ is honest, above if
-  it promises too much.
+- *NEES* (normalised estimation error squared) ``mean(eᵀ Σ⁻¹ e) / dof``: 1 if Σ is consistent, above
+  if it is too small.
 - *area* of the 95 % ellipse ``5.991 π √det Σ``. *At equal coverage* both our ellipses and those of
-  the 1994 recipe are scaled until 95 % of them hold their target.
+  the 1994 recipe are scaled until 95 % of them contain their target.
 - *efficiency* ``Σ tr B / Σ |e|²``, B the Cramér–Rao bound of each pose (see `bound`): the share of
-  the information in the picture that reached the point, if the references are exact.
+  the picture's information that is used, if the references are exact.
 """
 
 import math
@@ -34,19 +34,19 @@ GROSS_SHARE = 0.05
 NOMINAL_COVERAGES = (0.50, 0.68, 0.95, 0.99)
 
 CHANCE = 0.95
-"""Figures that are honest lie within the stated band of chance with this probability."""
+"""Probability that a figure of consistent covariances is within its stated band."""
 
-# Standard deviations of a normal distribution that hold `CHANCE`.
+# Standard deviations of a normal distribution that contain `CHANCE`.
 _CHANCE_SIGMAS = 1.959964
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """How many ellipses of one nominal confidence hold their target."""
+    """Share of ellipses of one nominal confidence that contain their target."""
 
     nominal: float  # confidence of the ellipse, 0…1
-    held: float  # share that hold the target, 0…1
-    chance: tuple[float, float]  # where an honest share lies
+    held: float  # share that contain the target, 0…1
+    chance: tuple[float, float]  # band of the share for consistent covariances
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Nees:
     """Normalised estimation error squared."""
 
     mean: float
-    chance: tuple[float, float]  # where an honest mean lies
+    chance: tuple[float, float]  # band of the mean for consistent covariances
 
 
 @dataclass(frozen=True)
@@ -70,21 +70,21 @@ class PointFigures:
     coverages: tuple[Coverage, ...]  # empty if points have no covariance
     nees: Nees | None  # None if every error is gross, or points have no covariance
     ellipse_area: float  # mean of the 95 % ellipses, plane units²; NaN without covariance
-    ellipse_area_at_95: float  # the same, scaled until 95 % hold their target
+    ellipse_area_at_95: float  # the same, scaled until 95 % contain their target
 
 
 @dataclass(frozen=True)
 class RecipeFigures:
     """Figures of the 1994 ellipse, "two standard deviations (95 %)"."""
 
-    held: float  # share that hold the target, 0…1
+    held: float  # share that contain the target, 0…1
     area: float  # mean, plane units²
-    area_at_95: float  # the same, scaled until 95 % hold their target
+    area_at_95: float  # the same, scaled until 95 % contain their target
 
 
 @dataclass(frozen=True)
 class BoundFigures:
-    """The Cramér–Rao bound of the poses that count, and what was reached of it."""
+    """The Cramér–Rao bound of the poses without gross errors, and the efficiency."""
 
     rms: float  # least RMS, plane units
     efficiency: float  # 1 reaches the bound
@@ -92,7 +92,7 @@ class BoundFigures:
 
 @dataclass(frozen=True)
 class LineFigures:
-    """Figures of the finger lines of all views, of the points that count."""
+    """Figures of the finger lines of all views, for points without gross errors."""
 
     count: int
     rms_offset_px: float
@@ -117,8 +117,8 @@ class Summary:
     gross: int  # of the available
     gross_beyond_99: int  # of these, outside their 99 % ellipse
     points: PointFigures | None  # None without a point
-    recipe: RecipeFigures | None  # None where no ellipse could be drawn
-    bound: BoundFigures | None  # None if it is not known
+    recipe: RecipeFigures | None  # None without any ellipse
+    bound: BoundFigures | None  # None if unknown
     lines: LineFigures | None  # None for footage
 
     @property
@@ -167,16 +167,16 @@ def chi2_quantile(confidence: float) -> float:
 def binomial_band(
     count: int, probability: float, confidence: float = CHANCE
 ) -> tuple[float, float]:
-    """Where the share of successes lies by chance.
+    """Return the band of the share of successes by chance.
 
     Parameters
     ----------
     count
         Number of independent tries, ≥ 1.
     probability
-        Of success in each, 0 to 1.
+        Probability of success in each, 0 to 1.
     confidence
-        Probability that the share lies in the band, at least.
+        Least probability that the share is in the band.
 
     Returns
     -------
@@ -201,7 +201,7 @@ def binomial_band(
 
 
 def _held_by_95(squared: Array) -> float:
-    """Give the least value that 95 % of the values do not exceed."""
+    """Return the least value that 95 % of the values do not exceed."""
     return float(np.percentile(squared, 95, method="inverted_cdf"))
 
 

@@ -16,7 +16,7 @@ _LABEL = 30
 
 
 def table_lines(summary: Summary, unit: str, plane_size: float) -> list[str]:
-    """Lay out a summary.
+    """Return a summary as lines of text.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class _Table:
             yield _row("  variance, bound / measured *", f"{bound.efficiency:12.3f}")
 
     def _error(self, label: str, error: float) -> str:
-        if math.isnan(error):  # of no points: all errors are gross
+        if math.isnan(error):  # without points: all errors are gross
             return _row(f"  {label}", f"{'–':>12}{'–':>10}")
         share = 100.0 * error / self._plane_size
         return _row(f"  {label}", f"{share:12.4f}{number(error):>10}")
@@ -108,7 +108,7 @@ class _Table:
         yield _row("  the recipe of 1994, 2 σ", f"{100 * recipe.held:10.1f} %")
         yield _row("    mean area", f"{number(recipe.area):>12} {area}")
         theirs = f"1994: {number(recipe.area_at_95)} {area}"
-        # Points without any error are held by ellipses of no size.
+        # Points without any error are contained in ellipses of zero size.
         if points.ellipse_area_at_95 > 0.0:
             ratio = number(recipe.area_at_95 / points.ellipse_area_at_95)
             theirs = f"{theirs}, {ratio} times as large"
@@ -157,7 +157,7 @@ def _share(part: int, whole: int) -> str:
 
 
 def number(value: float) -> str:
-    """Three digits that count, without an exponent where it can be helped."""
+    """Format with three significant digits, without an exponent if possible."""
     if not math.isfinite(value) or value == 0.0 or not 1e-4 <= abs(value) < 1e6:
         return f"{value:.3g}"
     return f"{value:.{max(2 - math.floor(math.log10(abs(value))), 0)}f}"

@@ -1,4 +1,4 @@
-"""One target of an experiment: what the pointer said, beside what is true."""
+"""One target of an experiment: result of the pointer, and truth."""
 
 import math
 from collections.abc import Sequence
@@ -19,18 +19,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LineTrial:
-    """One view's finger line beside the exact projected axis, both without the lens.
+    """Comparison of one view's finger line with the exact projected axis, both undistorted.
 
     Attributes
     ----------
     view
-        The view's name.
+        Name of the view.
     error : (2,)
-        Of the offset [px], along the line's normal at its anchor, and of the angle [rad].
+        Error of the offset [px], along the line's normal at its anchor, and of the angle [rad].
     covariance : (2, 2)
-        What the tracker says of them.
+        Their covariance according to the tracker.
     bound : (2, 2) or None
-        The least covariance they can have (see `bound`); None if unknown.
+        Their least possible covariance (see `bound`); None if unknown.
     """
 
     view: str
@@ -48,21 +48,21 @@ class Trial:
     index
         Number of the target, or index of the frame in footage.
     target : (2,)
-        The point that is truly indicated [plane units].
+        The true indicated point [plane units].
     status
-        Of the fix.
+        Status of the fix.
     reason
         Why its status is not `ok`; may be empty.
     point : (2,) or None
-        The indicated point [plane units]; there if and only if the status is `ok`.
+        The indicated point [plane units]; None unless the status is `ok`.
     covariance : (2, 2) or None
         Its covariance [plane units²].
     recipe
-        The ellipse of 1994 about it (see `paper_ellipse`); None without a point.
+        Its ellipse by the recipe of 1994 (see `paper_ellipse`); None without a point.
     bound : (2, 2) or None
         Least covariance of the point [plane units²]; None if unknown.
     lines
-        The finger lines that there are; empty for footage.
+        The finger lines; empty for footage.
     """
 
     index: int
@@ -82,14 +82,14 @@ class Trial:
 
     @cached_property
     def mahalanobis2(self) -> float:
-        """Squared error in standard deviations, χ² with 2 degrees of freedom if all is honest."""
+        """Squared error in standard deviations: χ² with 2 degrees of freedom if consistent."""
         if self.point is None or self.covariance is None:
             return math.nan
         return squared_in_sigmas(self.point - self.target, self.covariance)
 
 
 def squared_in_sigmas(error: Array, covariance: Array) -> float:
-    """``eᵀ Σ⁻¹ e``; infinite where an error is not zero and a singular covariance says it is."""
+    """``eᵀ Σ⁻¹ e``; infinite for an error in a direction of zero variance."""
     try:
         squared = float(error @ np.linalg.solve(covariance, error))
     except np.linalg.LinAlgError:
@@ -98,7 +98,7 @@ def squared_in_sigmas(error: Array, covariance: Array) -> float:
 
 
 def line_error(line: FingerLine, finger: FingerTruth) -> Array:
-    """Measure a finger line against the exact projected axis.
+    """Compare a finger line with the exact projected axis.
 
     Returns
     -------
@@ -114,18 +114,18 @@ def line_error(line: FingerLine, finger: FingerTruth) -> Array:
 def paper_ellipse(
     observations: Sequence[Observation], plane_views: Sequence[PlaneView]
 ) -> Ellipse | None:
-    """Draw the ellipse "two standard deviations (95 %)" as the paper does.
+    """Compute the ellipse "two standard deviations (95 %)" of the paper.
 
-    Its σ come from the residual offsets of each view's contour as they are: of an offset line with
-    residuals of standard deviation r, measured on a finger of length L, σ is r for the position
-    and ``r √12 / L`` (r over the standard deviation of the places along the finger) for the
-    orientation. Nothing is divided by √N, for residuals of a template that does not quite fit are
-    no noise that averages out. `fingerpost.uncertainty.nsigma_ellipse` projects ± 2σ.
+    Its σ follow directly from the residual offsets of each view's contour: for an offset line with
+    residuals of standard deviation r, measured on a finger of length L, σ is r for the position and
+    ``r √12 / L`` (r over the standard deviation of the positions along the finger) for the
+    orientation. There is no division by √N, because residuals of a template that does not fit
+    exactly do not average out like noise. `fingerpost.uncertainty.nsigma_ellipse` projects ± 2σ.
 
     Parameters
     ----------
     observations
-        Of all views at one time.
+        Observations of all views at one time.
     plane_views
         The views.
 
@@ -168,7 +168,7 @@ def trial_of(
     bound: Array | None = None,
     lines: tuple[LineTrial, ...] = (),
 ) -> Trial:
-    """Put what a pointer said of one frame beside what is true of it."""
+    """Compare a pointer's result for one frame with the truth."""
     fix = step.fix
     if fix.point is None:
         return Trial(index, target, fix.status, fix.reason, bound=bound, lines=lines)

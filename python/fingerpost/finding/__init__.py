@@ -9,12 +9,13 @@ finger above the table does not (`pixel_tests`).
 
 If two digits of one hand pass all tests, the one that reaches farther from the arm is followed.
 
-A view with an initial template takes a hand that is held up to it; a hand that appears elsewhere is
-found by the search, as in a view without.
+A view with an initial template accepts a hand that is held up to it; a hand that appears elsewhere
+is found by the search, as in a view without one.
 
-After a view has lost the hand, the search runs beside its tracker, which may still wait at the
-hand's last position. The template need be no longer than it was, and a trial that moves with a hand
-in another view is accepted after fewer frames than one that no other view has followed.
+After a view has lost the hand, the search runs in parallel with its tracker, which may still wait
+at the hand's last position. The template need not be longer than before the loss, and a trial that
+moves with a hand in another view is accepted after fewer frames than one that no other view has
+followed.
 
 With a static camera, the learned background is a prior against a hand (`foreground`). A hand that
 is present in the first frames is accepted if its score is high, and followed for good once it has

@@ -1,4 +1,4 @@
-"""Rest of the search: a table on which nothing changes is not searched again in every frame."""
+"""Suspension of the search: a table on which nothing changes is not searched in every frame."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from fingerpost.capture import Frame
 from fingerpost.finding.hand_view import HandView
 
 REST_FRAMES = 100
-"""Consecutive frames without a finger or foreground in any view after which the search rests: until
-then a hand that lies still from the start is tried again and again, and found if it can be."""
+"""Consecutive frames without a finger or foreground in any view after which the search rests. Until
+then a hand that has lain still from the start is searched for in every frame."""
 
 
 class SearchRest:
     """Decides whether the search rests, for all views together: a hand is confirmed by two.
 
-    Searching costs as much as tracking many hands, and an empty table is looked at for hours. A
-    hand that comes is foreground, and ends the rest with the frame that shows it. Nothing rests
-    while a background is unknown, as that of a moving camera.
+    Searching costs as much as tracking many hands, and a table may be empty for hours. A hand that
+    enters is foreground, and ends the rest in the first frame that contains it. The search does not
+    rest while a background is unknown, such as that of a moving camera.
     """
 
     def __init__(self) -> None:

@@ -31,8 +31,8 @@ RETRY_FRAMES = 6
 """Frames after which a candidate that the fit has rejected is tried again."""
 
 SETTLED_FRAMES = 10
-"""Frames after the background became known from which a new trial in the background is no hand: a
-hand would have been foreground when it came."""
+"""Frames after the background became known from which a new trial that is background is rejected: a
+hand would have been foreground when it entered."""
 
 UNCONFIRMED_FRAMES = 3
 """Frames without confirmation by another view after which a found trial is dropped."""

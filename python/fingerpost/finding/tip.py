@@ -1,7 +1,7 @@
-"""Whether a finger goes on ahead of its contour's tip: a painted nail, a cover, a glove's end.
+"""Test whether a finger extends beyond the tip of its contour: painted nails, covers, cut gloves.
 
-A contour that ends where the finger changes its look ends short of the fingertip. Fingers are
-curved, so the axis of a part farther back is turned against that of the whole.
+A contour that ends at a change of the finger's appearance ends short of the fingertip. Fingers are
+curved, so the axis of the rear part has another direction than that of the whole finger.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from fingerpost.capture import Frame
 from fingerpost.finding.foreground import MIN_FOREGROUND, foreground_ahead
 
 SHORT_SIGMA = 0.1
-"""Standard deviation of the axis of a finger that goes on ahead [half-widths], on half the length
-of a usual template 2 degrees: with dark nails, and with the fingers of a glove that leaves the
-fingertips free, the axis is turned by 1.5 to 2.5 degrees in rendered films."""
+"""Standard deviation of the axis if the finger extends beyond its contour [half-widths]: 2 degrees
+on half the length of a usual template. With dark nails, and with gloves that leave the fingertips
+free, the axis is turned by 1.5 to 2.5 degrees in rendered films."""
 
 MEAN_RATE = 0.2
 """Weight of a frame in the running mean."""
@@ -33,7 +33,7 @@ class TipTest:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of the axis [half-widths], 0 where the finger ends at its tip."""
+        """Standard deviation of the axis [half-widths], 0 if the finger ends at the contour."""
         return SHORT_SIGMA if self._ahead >= MIN_FOREGROUND else 0.0
 
     def update(

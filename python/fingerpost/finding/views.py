@@ -263,7 +263,7 @@ def movers(views: Sequence[SearchingView]) -> dict[int, list[Trial]]:
 def stand_beside_mover(trials: Mapping[int, Trial], moving: Mapping[int, Sequence[Trial]]) -> bool:
     """Whether the fingers of a pair are static while another hand moves.
 
-    A hand that rests on the table is, as long as the pointing one moves. A moving trial within
+    True for a hand that rests on the table while the pointing one moves. A moving trial within
     `MAX_DIGIT_DISTANCE` of the fingertip is not another hand: fits oscillate on a fist's folds.
 
     Parameters

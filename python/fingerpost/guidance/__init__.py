@@ -1,7 +1,7 @@
-"""Where the hand's fixes and the robot meet: the plane by the robot, following, picking, placing.
+"""Guidance of a robot by fixes: definition of the plane, following, picking and placing.
 
-`define_plane` lets the gripper visit a plane and ties every view to the robot; `guard_of` makes the
-guard of a rig with a [robot] table. Nothing here knows a command line.
+`define_plane` moves the gripper over a plane and registers every view with the robot; `guard_of`
+makes the guard of a rig with a [robot] table. This package is independent of the command line.
 """
 
 from fingerpost.guidance.agreement import Agreement, Sightings, ViewTie, agree, need_certainty

@@ -1,17 +1,18 @@
-"""Which of the places that the gripper visited agree, and how well they tie the views to the robot.
+"""Consistency of the places that the gripper visited, and registration of the views by them.
 
 Every view gives a homography from the robot's X, Y to its image (eq. 1 of the paper with the
 robot's own coordinates on the plane). N places give 2N equations for its 8 degrees of freedom, so
 
-* the weighted sum of squared residuals is a χ² with 2N − 8 degrees of freedom if all is well;
-* a wrong detection shows by what is left when it is taken away: the smallest set of places without
-  which the rest agree is wrong, if no other set of that size explains it as well;
-* the covariance of the homography's entries says how uncertain the plane is, whatever the reason:
-  places nearly on one line, too close together, too few, or seen badly.
+* the weighted sum of squared residuals is χ² with 2N − 8 degrees of freedom if all places are
+  consistent;
+* wrong detections are the smallest set of places without which the rest are consistent, if no other
+  set of that size explains the contradiction equally well;
+* the covariance of the homography's entries gives the uncertainty of the plane, whatever its cause:
+  places nearly on one line, too close together, too few, or poorly detected.
 
 A place's error in the image is that of the finder and, through the homography, that of the arm. The
-latter is the same error in all views, but counts here as if each had its own; a fix becomes the
-less certain for it, never the more.
+latter is common to all views, but treated as independent here, which makes a fix less certain,
+never more.
 """
 
 from __future__ import annotations
@@ -37,37 +38,39 @@ from fingerpost.lens import Lens
 from fingerpost.pointing import PlaneView
 
 ALARM = 1e-3
-"""Share of good sets that a view takes for wrong; they cost a second visit."""
+"""Probability of a false alarm in a view; one costs a second visit."""
 
 RIVAL_CHI2 = 13.8
-"""Another set explains a contradiction as well if its χ² is no larger than the best one's by more
-than this: e^(13.8 / 2) is a likelihood a thousand times smaller."""
+"""Difference of χ² up to which another set explains a contradiction as well as the best one:
+e^(13.8 / 2) is a likelihood ratio of a thousand."""
 
 MAX_WRONG = 2
-"""So many wrong places are looked for."""
+"""Greatest number of wrong places that are identified."""
 
 MIN_CHECKED = 5
-"""So many places must be left for their agreement to mean anything: 4 fit any homography."""
+"""Least number of remaining places whose agreement is significant: 4 fit any homography."""
 
 NARROW = 5.0
-"""Places that spread by less than so many standard deviations of the finder show no plane."""
+"""Least spread of the places, in standard deviations of the finder, for which they define a plane.
+"""
 
 NEARLY_A_LINE = 0.1
-"""Places whose spread across their line is less than this share of that along it are called so."""
+"""Ratio of the spread across to that along the line of best fit below which places are nearly
+collinear."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Sightings:
-    """Where one view saw the gripper at the places it visited.
+    """Detections of the gripper in one view, at the places it visited.
 
     Parameters
     ----------
     name
-        The view's.
+        Name of the view.
     pixels_px : (N, 2)
-        One per place, in the order of the visits [px].
+        One position per place, in the order of the visits [px].
     covariances_px2 : (N, 2, 2)
-        Of the finder alone, positive definite [px²].
+        Covariances of the finder alone, positive definite [px²].
     lens
         The view's lens, if known.
     """
@@ -90,21 +93,21 @@ class Sightings:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ViewTie:
-    """How one view is tied to the robot.
+    """Registration of one view with the robot.
 
     Attributes
     ----------
     name
-        The view's.
+        Name of the view.
     plane_view
         Its homography from the robot's X, Y [m], with the covariance of the entries.
     covariances_px2 : (N, 2, 2)
-        Of each place's pixel, finder and arm together [px²].
+        Covariance of each place's pixel, from finder and arm [px²].
     residuals_px : (N, 2)
-        Where the gripper was seen, less where the homography puts it [px].
+        Detected position less that predicted by the homography [px].
     distances : (N,)
-        Each place's distance from where the others put it, in standard deviations (Mahalanobis);
-        its square is a χ² with 2 degrees of freedom. NaN for 4 places, which check nothing.
+        Mahalanobis distance of each place from its prediction by the others; its square is χ² with
+        2 degrees of freedom. NaN for 4 places, which are not redundant.
     chi2, freedom
         Weighted sum of squared residuals, and its degrees of freedom.
     """
@@ -123,7 +126,7 @@ class ViewTie:
         return float(np.sqrt(np.mean((self.residuals_px**2).sum(axis=1))))
 
     def sigma_m(self, positions_m: ArrayLike) -> NDArray[np.float64]:
-        """Return how uncertain the homography leaves places of the plane: largest σ (...) [m]."""
+        """Return the largest standard deviations (...) of places of the plane [m]."""
         positions = finite_array(positions_m, "positions_m", (..., 2))
         T, Σ = self.plane_view.image_from_plane, self.plane_view.entries_covariance
         by_entries = transfer_jacobian_by_entries(T, positions)
@@ -134,16 +137,17 @@ class ViewTie:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Agreement:
-    """Which places agree.
+    """Consistent places, and the registration by them.
 
     Attributes
     ----------
     wrong
-        Indices of the smallest set of places without which the others agree; empty if all do.
+        Indices of the smallest set of places without which the others are consistent; empty if all
+        are.
     kept
         Indices of the others, in order.
     ties
-        One per view, from the places kept.
+        Registration of each view by the places kept.
     """
 
     wrong: tuple[int, ...]
@@ -152,26 +156,26 @@ class Agreement:
 
     @property
     def checked(self) -> bool:
-        """Whether there were enough places for their agreement to mean something."""
+        """Whether there were enough places for their agreement to be significant."""
         return len(self.kept) >= MIN_CHECKED
 
 
 def tie_view(positions_m: ArrayLike, sightings: Sightings, arm_sigma_m: float) -> ViewTie:
-    """Tie one view to the robot, all places counted.
+    """Register one view with the robot by all places.
 
     Parameters
     ----------
     positions_m : (N, 2)
-        The robot's X, Y of what was found at each place [m], N ≥ 4.
+        The robot's X, Y of the detected point at each place [m], N ≥ 4.
     sightings
-        Where the view saw it.
+        Its detections in the view.
     arm_sigma_m
         Standard deviation of the arm's own position in X and in Y [m], ≥ 0.
 
     Raises
     ------
     DegenerateReferencePointsError
-        Places or pixels that fix no homography.
+        Places or pixels that determine no homography.
     InvalidInputError
         As `fingerpost.pointing.PlaneView.from_reference_points`.
     """
@@ -187,7 +191,7 @@ def tie_view(positions_m: ArrayLike, sightings: Sightings, arm_sigma_m: float) -
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Fit:
-    """One view's homography by some places, without a look at each place's part in it."""
+    """One view's homography by some places, without the distance of each place."""
 
     view: PlaneView
     total: NDArray[np.float64]
@@ -216,33 +220,33 @@ def agree(
     arm_sigma_m: float = 0.0,
     numbers: Sequence[int] | None = None,
 ) -> Agreement:
-    """Find the places that agree in all views.
+    """Find the places that are consistent in all views.
 
     Parameters
     ----------
     positions_m : (N, 2)
-        The robot's X, Y of what was found at each place [m].
+        The robot's X, Y of the detected point at each place [m].
     views
-        One or more, each with N sightings.
+        One or more views, each with N sightings.
     arm_sigma_m
         Standard deviation of the arm's own position in X and in Y [m], ≥ 0.
     numbers
-        What messages call the places; by default 1, 2, ...
+        Numbers of the places in messages; by default 1, 2, ...
 
     Raises
     ------
     PoorPlaneError
-        Fewer than 4 places, or places or pixels that fix no homography.
+        Fewer than 4 places, or places or pixels that determine no homography.
     InconsistentPlaneError
         They contradict each other, and no set of at most `MAX_WRONG` places explains it, or more
-        than one does; the message names what is suspected.
+        than one does; the message names the suspects.
     """
     X = finite_array(positions_m, "positions_m", ("N", 2))
     arm_sigma_m = in_range(arm_sigma_m, "arm_sigma_m", 0.0)
     if len(X) < MIN_REFERENCE_POINTS:
         raise PoorPlaneError(
             f"{len(X)} places found; a plane needs at least {MIN_REFERENCE_POINTS}, and "
-            f"{MIN_CHECKED + 1} or more to tell a wrong one"
+            f"{MIN_CHECKED + 1} or more to identify a wrong one"
         )
     _refuse_a_line(X)
     for view in views:
@@ -272,16 +276,16 @@ def agree(
 def need_certainty(
     agreement: Agreement, corners_m: ArrayLike, max_sigma_m: float
 ) -> NDArray[np.float64]:
-    """See that the plane is certain enough everywhere in a region.
+    """Check that the plane is certain enough everywhere in a region.
 
     Parameters
     ----------
     agreement
-        Of the places visited.
+        Agreement of the visited places.
     corners_m : (C, 2)
         Corners of the region in the robot's X, Y [m].
     max_sigma_m
-        Largest standard deviation that will do, in any direction [m], > 0.
+        Largest accepted standard deviation in any direction [m], > 0.
 
     Returns
     -------
@@ -291,7 +295,7 @@ def need_certainty(
     Raises
     ------
     PoorPlaneError
-        It is not; the message names view, corner and the likeliest reason.
+        It is not; the message names the view, the corner and the most likely reason.
     """
     corners = finite_array(corners_m, "corners_m", ("N", 2))
     sigma_m = np.array([tie.sigma_m(corners) for tie in agreement.ties])
@@ -322,7 +326,7 @@ def chi2_limit(freedom: int, tail: float) -> float:
     Raises
     ------
     InvalidInputError
-        An odd number of degrees of freedom, or a probability that is none.
+        An odd number of degrees of freedom, or a probability outside that range.
     """
     if freedom < 2 or freedom % 2:
         raise InvalidInputError(f"freedom is {freedom}; an even number from 2 is needed")
@@ -347,9 +351,9 @@ def _chi2_tail(x: float, freedom: int) -> float:
 def _agreed(
     X: NDArray[np.float64], views: Sequence[Sightings], kept: tuple[int, ...], arm_sigma_m: float
 ) -> float | None:
-    """Return the χ² of all views by some places; None if these do not agree in one of them.
+    """Return the χ² of all views by some places; None if these are inconsistent in one of them.
 
-    Four places fit any homography, but not every four have one.
+    Four places in general position fit any homography; collinear ones determine none.
     """
     freedom = 2 * len(kept) - 8
     limit = chi2_limit(freedom, ALARM) if freedom else math.inf
@@ -357,7 +361,7 @@ def _agreed(
     for view in views:
         try:
             chi2 = _fit(X[list(kept)], _some(view, kept), arm_sigma_m).chi2
-        except InvalidInputError:  # they fix no homography
+        except InvalidInputError:  # they determine no homography
             return None
         if chi2 > limit:
             return None
@@ -374,14 +378,14 @@ def _some(view: Sightings, kept: tuple[int, ...]) -> Sightings:
 def _left_out(
     k: int, X: NDArray[np.float64], sightings: Sightings, total: NDArray[np.float64]
 ) -> float:
-    """Return the Mahalanobis distance of a pixel from where the other places put it."""
+    """Return the Mahalanobis distance of a pixel from its prediction by the other places."""
     others = np.arange(len(X)) != k
     try:
         view = PlaneView.from_reference_points(
             X[others], sightings.pixels_px[others], total[others], sightings.lens
         )
     except InvalidInputError:
-        return math.inf  # without this place the rest fix nothing
+        return math.inf  # the other places determine no homography
     by_entries = transfer_jacobian_by_entries(view.image_from_plane, X[k])
     predicted = by_entries @ view.entries_covariance @ by_entries.T
     if sightings.lens is not None:
@@ -400,7 +404,7 @@ def _squared_distances(
 
 
 def _spread(points: NDArray[np.float64]) -> tuple[float, float]:
-    """Root mean square spread along and across the line that fits points best."""
+    """Root mean square spread along and across the line of best fit."""
     along, across = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return float(along / math.sqrt(len(points))), float(across / math.sqrt(len(points)))
 
@@ -425,7 +429,7 @@ def _refuse_narrow(X: NDArray[np.float64], view: Sightings) -> None:
 
 
 def _line_remedy(X: NDArray[np.float64]) -> str:
-    """Say that places lie nearly on one line, if they do."""
+    """Return the remark that places are nearly collinear, if they are."""
     along, across = _spread(X)
     if across >= NEARLY_A_LINE * along:
         return ""
@@ -441,7 +445,7 @@ def _sigma_px(covariances_px2: NDArray[np.float64]) -> float:
 
 
 def _remedy(tie: ViewTie, corners: NDArray[np.float64]) -> str:
-    """Say what most probably makes a plane uncertain, and what would be right."""
+    """Return the most likely cause of a plane's uncertainty, and the remedy."""
     X = tie.plane_view.plane_points
     if remedy := _line_remedy(X):
         return remedy

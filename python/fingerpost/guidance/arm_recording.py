@@ -1,4 +1,4 @@
-"""A guided arm in a recording of the views: its state with every step, and every command."""
+"""Recording of a guided arm with the views: its state at every step, and every command."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ ROBOT_FRAME = "robot"
 
 @dataclass(frozen=True, slots=True)
 class ArmRow:
-    """How an arm stood at the time of a step.
+    """State of an arm at the time of a step.
 
     Attributes
     ----------
     time_s
-        Of the step [s].
+        Time of the step [s].
     state
-        The driver's: `moving`, `idle`, `fault` and the like.
+        State of the driver: `moving`, `idle`, `fault` and the like.
     homed, armed, moves
-        Whether it is homed; whether commands may pass; whether one that passed may still run.
+        Whether it is homed; whether commands may pass; whether one may still be in execution.
     why_stopped
-        Why the guard stopped it last; empty if it never did.
+        Reason for the guard's last stop; empty without one.
     """
 
     time_s: float
@@ -48,16 +48,16 @@ class ArmRecording:
     Parameters
     ----------
     arm
-        Connected, while steps are taken.
+        The arm; connected while steps are taken.
     recorder
-        Of the views.
+        Recorder of the views.
     """
 
     def __init__(self, arm: GuidedArm, recorder: Recorder) -> None:
         self._arm, self._recorder = arm, recorder
 
     def take(self, step: Step) -> None:
-        """Record the arm's state and its last pose at the time of a step; never waits."""
+        """Record the arm's state and its last pose at the time of a step, without waiting."""
         guard, status, time_s = self._arm.guard, self._arm.robot.status(), step.fix.time_s
         row = ArmRow(
             time_s, status.state.value, status.homed, guard.armed, guard.busy, guard.why_stopped

@@ -1,4 +1,4 @@
-"""Whether the operator is there."""
+"""Presence of the operator."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from fingerpost.robot import Guard
 
 
 class Attendance(StrEnum):
-    """What shows that the operator is there; `Guard` stops the arm when it has been missing."""
+    """Evidence of the operator's presence, in whose absence `Guard` stops the arm."""
 
     KEY = "key"
-    """He holds a key down: a dead-man's switch."""
+    """A key is held down: a dead-man's switch."""
     HAND = "hand"
-    """The hand that guides is tracked in a view; while the arm stands, it may be away."""
+    """The guiding hand is tracked in a view; it may be absent while the arm stands."""
 
 
 def attended_at_first(guard: Guard, steps: Iterator[Step]) -> Iterator[Step]:
-    """Give steps; until there is the first, take it that the operator is there.
+    """Yield steps; until the first one, assume that the operator is present.
 
-    The first frames take longest, on a slow computer longer than he may be missing, and before
-    them nothing moves the arm.
+    The first frames take longest, on a slow computer longer than the operator may be absent, and
+    before them nothing moves the arm.
     """
     with guard.attended():
         first = next(steps, None)

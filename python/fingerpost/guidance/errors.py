@@ -1,4 +1,4 @@
-"""Why the robot's visits do not tell where a plane lies."""
+"""Errors in the definition of a plane by a robot."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from fingerpost.errors import FingerpostError
 
 
 class PlaneError(FingerpostError):
-    """Base of everything by which a plane defined by the robot fails."""
+    """Base class of the errors in the definition of a plane by the robot."""
 
 
 class GripperNotFoundError(PlaneError):
-    """A view does not show the gripper, or not clearly enough to say where."""
+    """The gripper is not detected in a view, or not clearly enough."""
 
 
 class PoorPlaneError(PlaneError):
-    """The places visited agree, but they leave the plane too uncertain to point on."""
+    """The visited places are consistent, but the plane is too uncertain for pointing."""
 
 
 class InconsistentPlaneError(PlaneError):
-    """The places visited contradict each other, and which of them is wrong is not determined."""
+    """The visited places contradict each other, and it is undetermined which of them is wrong."""

@@ -1,8 +1,8 @@
-"""Finding the gripper in a view, in four ways.
+"""Detection of the gripper in a view, by four methods.
 
-Whatever a finder finds must be the same point of the gripper at every place; that it is not the
-gripper's tip does no harm as long as its offset from the tip is known (`PlaneOptions.offset_m`) or,
-for a marker, the tip lies in the marker's plane (`MarkerFinder`).
+A finder must detect the same point of the gripper at every place. It need not be the gripper's tip
+if its offset from the tip is known (`PlaneOptions.offset_m`) or, for a marker, if the tip lies in
+the marker's plane (`MarkerFinder`).
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from fingerpost.errors import InvalidInputError
 from fingerpost.guidance.errors import GripperNotFoundError
 
 SIGMAS_PX = (1e-3, 1e3)
-"""Standard deviations that a finder may have: its covariance keeps its rank, and it still finds
-something [px]."""
+"""Range of a finder's standard deviation [px]: its covariance keeps full rank, and the result is
+meaningful."""
 
 FURTHEST_SIDES = 100.0
-"""A tip further than so many of its sides from a marker is not found by it."""
+"""Greatest distance of a tip from its marker, in sides of the marker."""
 
 _SMALLEST = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Sighting:
-    """Where a view shows the gripper.
+    """Detected position of the gripper in a view.
 
     Parameters
     ----------
     pixel_px : (2,)
-        [px]
+        Position [px].
     covariance_px2 : (2, 2)
-        Of the finding, positive definite [px²].
+        Covariance of the detection, positive definite [px²].
     """
 
     pixel_px: NDArray[np.float64]
@@ -57,19 +57,19 @@ class Sighting:
 
 
 class GripperFinder(ABC):
-    """Finds the gripper in one view; one finder for each view."""
+    """Detects the gripper in one view; each view has its own finder."""
 
     watches = False
-    """Whether `watch` wants the frames in which the gripper is under way."""
+    """Whether `watch` needs the frames in which the gripper moves."""
 
     def watch(self, frame: Frame) -> None:  # noqa: B027 - nothing to watch is the usual case
-        """Take a frame in which the gripper is under way."""
+        """Process a frame in which the gripper moves."""
 
     @abstractmethod
     def find(
         self, place: int, frames: Sequence[Frame], elsewhere: Sequence[NDArray[np.uint8]]
     ) -> Sighting:
-        """Find the gripper where it stands.
+        """Detect the gripper while it stands still.
 
         Parameters
         ----------
@@ -79,12 +79,12 @@ class GripperFinder(ABC):
             One or more frames in which it stands there.
         elsewhere
             Grey images of the same view in which it stands elsewhere: first one from before the
-            visits, then one of each place visited so far.
+            visits, then one of each place visited.
 
         Raises
         ------
         GripperNotFoundError
-            It is not there, or not clearly; the message says why.
+            It is not visible, or not clearly; the message states the reason.
         """
 
 
@@ -98,13 +98,13 @@ class MarkerFinder(GripperFinder):
     dictionary
         Its dictionary, as OpenCV names it without `DICT_`.
     tip
-        Where the point to be found lies in the marker's plane, from its centre, in sides of the
-        marker: x to the right, y downwards, as the marker is printed. (0, 0) is the centre. It is
-        carried into the image by the homography of the marker's corners, so perspective is right,
-        but a point far from a small marker is found badly, and the covariance says so.
+        Position of the point to detect in the marker's plane, from its centre, in sides of the
+        marker: x to the right, y downwards, as the marker is printed. (0, 0) is the centre. The
+        homography of the marker's corners projects it, so perspective is correct, but a point far
+        from a small marker has a large covariance.
     sigma_px
-        Standard deviation of one corner in one frame [px], in `SIGMAS_PX`. OpenCV's sub-pixel
-        corners were found to 0.3 px.
+        Standard deviation of one corner in one frame [px], in `SIGMAS_PX`. That of OpenCV's
+        sub-pixel corners was 0.3 px.
 
     Raises
     ------
@@ -154,7 +154,7 @@ class MarkerFinder(GripperFinder):
             raise GripperNotFoundError(f"no marker {self._marker_id} in {len(frames)} frames")
         pixels = np.array([self._tip_px(corners) for corners in found])
         by_corners = self._jacobian(np.mean(found, axis=0))
-        # Of all frames together: what is wrong with a corner is mostly wrong in every frame.
+        # Not reduced by the number of frames: errors of corners are mostly common to all frames.
         return Sighting(pixels.mean(axis=0), self._sigma_px**2 * by_corners @ by_corners.T)
 
     def _corners(self, frame: Frame) -> NDArray[np.float64] | None:
@@ -162,7 +162,7 @@ class MarkerFinder(GripperFinder):
         if numbers is None:
             return None
         places = np.flatnonzero(np.asarray(numbers).ravel() == self._marker_id)
-        if len(places) != 1:  # none, or two that cannot be distinguished
+        if len(places) != 1:  # none, or several that cannot be distinguished
             return None
         return np.asarray(corners[places[0]], dtype=np.float64).reshape(4, 2)
 
@@ -174,7 +174,7 @@ class MarkerFinder(GripperFinder):
         return np.asarray(x[:2] / x[2])
 
     def _jacobian(self, corners: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Differentiate the tip by the eight corner coordinates (2, 8), by differences."""
+        """Differentiate the tip by the eight corner coordinates (2, 8), by finite differences."""
         step = 0.01
         columns = []
         for k in range(8):
@@ -192,8 +192,8 @@ _MARKER_CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 class ContourFinder(GripperFinder):
     """Follows the gripper's outline with the package's own tracker.
 
-    The template waits where the gripper stands before the first visit, over the middle of the safe
-    region at its top, and follows it from place to place; move slowly enough for that.
+    The template waits at the gripper's position before the first visit, over the middle of the safe
+    region at its top, and follows it from place to place, so the gripper must move slowly.
 
     Parameters
     ----------
@@ -201,17 +201,17 @@ class ContourFinder(GripperFinder):
         The gripper's outline: `fingerpost.Template.from_outline` of a traced one (see
         `load_outline`), or `Template.pistol("none")` for a gripper like a rod.
     start
-        Where it waits: tip, direction and length in the image.
+        Its start pose: tip, direction and length in the image.
     along_sigma_px
         Standard deviation of the tip along the gripper, beyond the fit's own [px], in
         `SIGMAS_PX`.
     across_sigma_px
         The same across it [px], ≥ 0.
     polarity
-        Whether the gripper is brighter or darker than what is behind it; required for a thin
-        one, as the search lines reach across it.
+        Whether the gripper is brighter or darker than the background; required for a thin one,
+        because the search lines reach across it.
     options
-        What else differs from the tracker's defaults.
+        Further deviations from the tracker's defaults.
     """
 
     watches = True
@@ -265,15 +265,15 @@ class ContourFinder(GripperFinder):
 
 
 class MotionFinder(GripperFinder):
-    """Finds what has changed against the same view with the gripper elsewhere.
+    """Detects changes relative to images of the view with the gripper elsewhere.
 
-    The gripper's tip is where the largest changed area reaches furthest in one direction of the
+    The gripper's tip is the extreme point of the largest changed area in one direction of the
     image. A shadow as dark as the gripper would count as part of it.
 
     Parameters
     ----------
     towards_deg
-        That direction: 0 is right, 90 is down.
+        That direction [°]: 0 is right, 90 is down.
     threshold
         Least change [grey levels], > 0.
     min_area_px
@@ -302,11 +302,11 @@ class MotionFinder(GripperFinder):
         frames: Sequence[Frame],
         elsewhere: Sequence[NDArray[np.uint8]],
     ) -> Sighting:
-        """Compare the mean of the frames with what is there without the gripper."""
+        """Compare the mean of the frames with the view without the gripper."""
         if not elsewhere:
             raise GripperNotFoundError("there is no image with the gripper elsewhere")
         here = np.mean([frame.grey() for frame in frames], axis=0)
-        # Two images do not outvote each other: then the one from before the visits counts.
+        # The median needs three images: of two, the one from before the visits is used.
         empty = np.median(elsewhere, axis=0) if len(elsewhere) > 2 else elsewhere[0]
         change = cv2.GaussianBlur(np.abs(here - empty).astype(np.float32), (0, 0), 1.0)
         area = self._largest_area(change)
@@ -326,7 +326,7 @@ class MotionFinder(GripperFinder):
     def _furthest(
         self, change: NDArray[np.float32], area: NDArray[np.bool_]
     ) -> NDArray[np.float64]:
-        """Where the area ends in the wanted direction, weighted by the change near the end."""
+        """Return the area's end in the given direction, weighted by the change near the end."""
         rows, columns = np.nonzero(area)
         pixels = np.column_stack([columns, rows]).astype(np.float64)
         reach = pixels @ self._towards
@@ -340,13 +340,13 @@ class MotionFinder(GripperFinder):
 
 
 class GivenFinder(GripperFinder):
-    """Takes pixels that a person has pointed out.
+    """Uses pixels that a person has marked.
 
     Parameters
     ----------
     ask
         Called with the place's number from 0 and the last frame; returns the pixel (u, v), or None
-        where the gripper cannot be seen. See `load_pixels` for a file.
+        if the gripper is not visible. See `load_pixels` for a file.
     sigma_px
         Standard deviation of such a pixel [px], in `SIGMAS_PX`.
     """
@@ -375,7 +375,7 @@ class GivenFinder(GripperFinder):
 
 
 def pixel_of(value: ArrayLike, frame: Frame, name: str) -> NDArray[np.float64]:
-    """Give `value` as a pixel (u, v) of a frame.
+    """Return `value` as a pixel (u, v) of a frame.
 
     Raises
     ------
@@ -402,7 +402,7 @@ def load_pixels(path: str | Path) -> dict[str, dict[int, tuple[float, float]]]:
     Returns
     -------
     dict
-        For every view the pixel (u, v) of every place, these from 0.
+        By view, the pixel (u, v) of every place, numbered from 0.
 
     Raises
     ------
@@ -448,9 +448,9 @@ def load_outline(path: str | Path) -> Template:
     Parameters
     ----------
     path
-        CSV without header: first the two ends of the gripper's axis, where it begins and its tip,
-        then the outline in order along the contour; one point u,v per line, in pixels of any image
-        that shows the gripper. The gripper lies on the right of the outline's way (v runs down).
+        CSV without header: first the start and the tip of the gripper's axis, then the outline in
+        order along the contour; one point u,v per line, in pixels of any image of the gripper. The
+        gripper lies to the right of the direction of travel (v points down).
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""One arm that fixes guide, the same at a terminal, on the operator's page and in tests.
+"""One arm that fixes guide, used by the terminal, the operator's page and tests.
 
 Everything is checked before anything moves: the safe region, the heights of picking and placing,
 and, once the arm is connected, its limits and its gripper.
@@ -32,18 +32,18 @@ from fingerpost.robot.guard import RecordCallback
 
 @dataclass(frozen=True, kw_only=True)
 class GuidingOptions:
-    """How an arm is guided.
+    """Options of guidance.
 
     Attributes
     ----------
     guard
-        When a command may pass.
+        Options of the guard.
     follow
-        How it follows.
+        Options of following.
     carry
         Heights and grip of picking and placing; None only follows.
     selector
-        Makes what selects by dwelling; None selects by key alone.
+        Makes the selector by dwelling; None selects by key alone.
     """
 
     guard: GuardOptions = field(default_factory=GuardOptions)
@@ -53,26 +53,26 @@ class GuidingOptions:
 
 
 class GuidedArm:
-    """An arm, its guard, and what it needs to be guided.
+    """An arm with its guard and options of guidance.
 
     Parameters
     ----------
     robot
-        Not yet connected.
+        The arm, not yet connected.
     table
-        Plane, region, and how the gripper is held.
+        Plane, region, and orientation of the gripper.
     options
-        How it is guided.
+        Options of guidance.
 
     Raises
     ------
     InvalidInputError
-        A region that is none, heights that it does not allow, or what `selector` refuses.
+        An invalid region, heights outside it, or an error of `selector`.
 
     Attributes
     ----------
     robot, guard, options
-        As given, and the guard.
+        The arguments, and the arm's guard.
     """
 
     def __init__(self, robot: Robot, table: RobotTable, options: GuidingOptions) -> None:
@@ -95,21 +95,21 @@ class GuidedArm:
         home: Callable[[Robot], None] | None = None,
         signals: Sequence[signal.Signals] = (),
     ) -> Iterator[None]:
-        """Connect the arm, check what it can do, and watch it as long as the block lasts.
+        """Connect the arm, check its abilities, and watch it for the duration of the block.
 
         Parameters
         ----------
         on_record
             Called with every command.
         home
-            Homes the arm before it is watched; None leaves it as it is.
+            Homes the arm before it is watched; None does not home it.
         signals
-            That halt the arm; in the main thread only.
+            Signals that halt the arm; in the main thread only.
 
         Raises
         ------
         RobotError
-            The arm's, and as for `Guard.check_limits` and `Guard.check_gripper`.
+            As the arm, `Guard.check_limits` and `Guard.check_gripper`.
         """
         with self.robot:
             self.guard.check_limits()
@@ -127,7 +127,7 @@ class GuidedArm:
         Parameters
         ----------
         **how
-            As for `Session`, less what the options say.
+            Arguments of `Session`, except those that the options determine.
         """
         follower = Follower(self.guard, self.options.follow)
         return Session(
@@ -136,7 +136,7 @@ class GuidedArm:
 
 
 def guided(session: Session, steps: Iterator[Step]) -> Iterator[Step]:
-    """Give the steps of the views, each once the session has taken it, until the session is done.
+    """Yield the steps of the views after the session has processed them, until it is done.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Single keys from a terminal, as they are pressed."""
+"""Reads single key presses from a terminal."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from fingerpost.errors import InvalidInputError
 
 
 class Keys:
-    """Reads a terminal's keys in a thread, so that a stop waits for nothing; a context manager.
+    """Reads a terminal's keys in a thread, so that a stop is never delayed; a context manager.
 
-    The terminal gives every key at once and does not show it; Ctrl-C and Ctrl-Z stay signals. On
-    leaving, it is as it was. A key whose callback fails ends nothing, as the next one may be a
-    stop: the first failure is raised on leaving, unless something else is under way.
+    The terminal returns every key at once, without echo; Ctrl-C and Ctrl-Z remain signals. Its
+    settings are restored on exit. An error in a callback does not end the thread, because the next
+    key may be a stop: the first error is raised on exit, unless another exception is being raised.
 
     Parameters
     ----------
     on_key
         Called in the thread with every key, one character each.
     on_end
-        Called in the thread once when the terminal is gone.
+        Called once in the thread when the terminal is closed.
     descriptor
-        Of the terminal; standard input's by default.
+        File descriptor of the terminal; by default that of standard input.
 
     Raises
     ------
     InvalidInputError
-        It is no terminal.
+        Not a terminal.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Keys:
         self._thread.join()
         os.close(self._wake_out)
         os.close(self._wake_in)
-        with suppress(termios.error):  # the terminal may be gone
+        with suppress(termios.error):  # the terminal may be closed
             termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
         if kind is None and self._error is not None:
             raise self._error
@@ -98,5 +98,5 @@ class Keys:
     def _call(self, callback: Callable[..., None], *keys: str) -> None:
         try:
             callback(*keys)
-        except Exception as error:  # whatever it is, the stop key must go on working
+        except Exception as error:  # the stop key must continue to work after any error
             self._error = self._error or error

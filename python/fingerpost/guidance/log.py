@@ -1,4 +1,4 @@
-"""The log of commands: what was sent to the robot, when, and the fix that caused it."""
+"""Log of the commands sent to the robot, with their times and the fixes that caused them."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class CommandRow:
     Attributes
     ----------
     time_s
-        When, by the guard's clock [s].
+        Time on the guard's clock [s].
     command, detail, outcome
-        As a `CommandRecord`'s.
+        As in `CommandRecord`.
     x_m, y_m, z_m
         The goal of a motion, in the robot's frame [m]; None for other commands.
     fix_time_s, fix_status, fix_x, fix_y, fix_cov_xx, fix_cov_xy, fix_cov_yy
-        The fix that caused it, in seconds and plane units; None without one, or without a point.
+        The fix that caused it, in seconds and plane units; None without a fix or a point.
     """
 
     time_s: float
@@ -47,7 +47,7 @@ class CommandRow:
 
     @classmethod
     def of(cls, record: CommandRecord) -> Self:
-        """Return a record's row."""
+        """Return the row of a record."""
         pose, fix = record.pose, record.fix
         goal = (None,) * 3 if pose is None else (pose.x_m, pose.y_m, pose.z_m)
         cause: tuple[Any, ...] = ()
@@ -60,16 +60,16 @@ class CommandRow:
 
 
 class CommandLog:
-    """A CSV file that grows by a row with every `CommandRecord`; a context manager.
+    """A CSV file with one row per `CommandRecord`; a context manager.
 
-    Call it with the records: from any thread, and from a signal's handler that has interrupted such
-    a call. A row is handed to the operating system whole and at once. Cells are empty where there
-    is no goal, no fix, or a fix without a point; the fix is in plane units.
+    Call it with the records, from any thread, and from a signal handler that has interrupted such a
+    call. Each row is written to the operating system in one piece and at once. Cells are empty
+    without a goal, a fix or a point; the fix is in plane units.
 
     Parameters
     ----------
     path
-        The file, which is replaced.
+        The file; an existing one is replaced.
 
     Raises
     ------

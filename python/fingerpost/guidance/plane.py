@@ -1,10 +1,10 @@
-"""The plane by the robot: section 3.4 of the paper.
+"""Definition of the plane by the robot: section 3.4 of the paper.
 
 "The reference points are defined by observing the robot gripper as it visits 4 points in a plane
 (this not only defines the working coordinate system but relates it to the robot's own world
-coordinate system)." The gripper visits more than four here, from above each time; where it stands
-is read from the robot, where it is seen is found in every view, and what does not agree is visited
-again or left out by name. The result is a rig whose plane coordinates are the robot's X and Y.
+coordinate system)." Here the gripper visits more than four places, each from above. Its position is
+read from the robot and detected in every view; inconsistent places are visited again or, if that
+fails, excluded and reported. The result is a rig whose plane coordinates are the robot's X and Y.
 """
 
 from __future__ import annotations
@@ -40,43 +40,43 @@ from fingerpost.robot.options import CheckedOptions
 logger = logging.getLogger(__name__)
 
 CANDIDATES = 41
-"""Places are chosen from a grid of so many by so many over the safe region."""
+"""Side of the square grid over the safe region from which places are chosen."""
 
 PATIENCE_S = 5.0
-"""A frame of a standing gripper comes within this [s], one after another."""
+"""Time limit for each further frame of a standing gripper [s]."""
 
 FrameReader = Callable[[], Sequence[Frame | None]]
-"""Gives the next, or newest, frame of every view; its times are the guard's clock's."""
+"""Returns the next, or newest, frame of every view, with times on the guard's clock."""
 
 Offset: TypeAlias = Annotated[float, msgspec.Meta(ge=-1, le=1)]
-"""One component of where something is on the gripper [m]."""
+"""One component of a position on the gripper [m]."""
 
 
 class PlaneOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How the robot defines a plane.
+    """Options of the definition of a plane by the robot.
 
     Attributes
     ----------
     points : int
-        Places to visit, 4 to 50; 6 or more tell which of them is wrong.
+        Number of places to visit, 4 to 50; with 6 or more, a wrong one is identified.
     offset_m : tuple of 3 floats
-        Where the point that the finders find is, from the gripper's working point, in the robot's
-        axes [m]: a marker's centre, say, 40 mm above the tip is (0, 0, 0.04). It is this point that
-        visits the plane, so the tip goes below it by that height.
+        Offset of the detected point from the gripper's working point, in the robot's axes [m]:
+        (0, 0, 0.04) for a marker whose centre is 40 mm above the tip. This point visits the plane,
+        so the tip goes below it by that height.
     lift_m : float
-        The gripper goes from place to place so much higher [m], ≥ 0.
+        Height above the plane at which the gripper moves from place to place [m], ≥ 0.
     speed_m_s : float
         Its speed [m/s], > 0.
     settle_s : float
-        Frames count from so long after the arm stands [s], ≥ 0.
+        Time after the arm has stopped until frames are used [s], ≥ 0.
     frames : int
-        Frames that are looked at in each place and view.
+        Number of frames used per place and view.
     arm_sigma_m : float
-        Standard deviation with which the arm stands where it says, in X and in Y [m], ≥ 0.
+        Standard deviation of the arm's position relative to its reading, in X and in Y [m], ≥ 0.
     max_sigma_m : float
-        Largest standard deviation of the plane in the safe region that will do, in a view [m].
+        Largest accepted standard deviation of the plane in the safe region, in a view [m].
     revisits : int
-        How often a place that was not found, or found wrongly, is visited again.
+        Number of repeated visits to a place where the gripper was not, or wrongly, detected.
     """
 
     points: Annotated[int, msgspec.Meta(ge=MIN_REFERENCE_POINTS, le=50)] = 9
@@ -92,18 +92,18 @@ class PlaneOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fie
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Visit:
-    """One stay at a place.
+    """One visit to a place.
 
     Attributes
     ----------
     place
-        Its number, from 0.
+        Number of the place, from 0.
     position_m : (3,)
-        Where the point that is looked for stands, by what the robot says, offset counted [m].
+        Position of the point to detect, by the robot's reading and the offset [m].
     sightings
-        One per view; None where it was not found.
+        One per view; None where it was not detected.
     problem
-        Why not; empty if every view found it.
+        Why it was not detected in a view; empty if it was in all.
     """
 
     place: int
@@ -121,13 +121,13 @@ class PlaneByRobot:
     visits
         The last visit to every place, in the order of places.
     left_out
-        For every place that does not count, from 0, why.
+        Reasons for excluded places, by number from 0.
     agreement
-        How the views are tied to the robot by the places that count.
+        Registration of the views with the robot by the other places.
     height_m
         The plane's Z in the robot's frame [m].
     sigma_m : (V, C)
-        How uncertain each view's plane is at each corner of the safe region [m].
+        Standard deviation of each view's plane at each corner of the safe region [m].
     revisited
         Places that were visited more than once.
     """
@@ -146,24 +146,24 @@ class PlaneByRobot:
 
     @property
     def positions_m(self) -> NDArray[np.float64]:
-        """The robot's X, Y of the places that count, (N, 2) [m]."""
+        """The robot's X, Y of the places used, (N, 2) [m]."""
         return np.asarray(self.ties[0].plane_view.plane_points)
 
     def rig(self, cameras: Rig, robot: RobotTable) -> Rig:
-        """Return the rig whose plane is this one.
+        """Return the rig with this plane.
 
         Parameters
         ----------
         cameras
-            Its views, sources, lenses and start poses are taken over; the plane is not.
+            Rig from which views, sources, lenses and start poses are copied, but not the plane.
         robot
             The robot; its `height_m` is replaced by this plane's.
 
         Returns
         -------
         Rig
-            The plane's points are the robot's X, Y in metres, the views' reference points the
-            pixels found, with the covariance that finder and arm leave them.
+            The plane's points are the robot's X, Y in metres; the views' reference points are the
+            detected pixels, with the covariance of finder and arm.
         """
         counted = [visit for visit in self.visits if visit.place not in self.left_out]
         views = [
@@ -178,7 +178,7 @@ class PlaneByRobot:
         )
 
     def lines(self) -> list[str]:
-        """Return the summary, a line each."""
+        """Return the summary, line by line."""
         said = [
             f"plane at Z = {self.height_m:.4f} m by {len(self.positions_m)} of "
             f"{len(self.visits)} places"
@@ -218,27 +218,27 @@ class PlaneByRobot:
 
 
 def spread_places(region: SafeRegion, count: int) -> NDArray[np.float64]:
-    """Choose places over a region, as far from each other as they can be.
+    """Choose places over a region, as far from each other as possible.
 
-    The region's corners first, if there are enough places for all of them, then again and again the
-    place furthest from all chosen: the middle of a rectangle, the middles of its sides.
+    First the region's corners, if there are enough places for all of them; then repeatedly the
+    place furthest from all chosen ones: the middle of a rectangle, the middles of its sides.
 
     Parameters
     ----------
     region
-        Where they may be.
+        The region.
     count
-        How many, ≥ 2.
+        Number of places, ≥ 2.
 
     Returns
     -------
     (count, 2)
-        In an order that makes the way from one to the next short.
+        Ordered for short moves from one to the next.
 
     Raises
     ------
     InvalidInputError
-        More places than the region has room for.
+        More places than fit into the region.
     """
     lower, upper = region.corners.min(axis=0), region.corners.max(axis=0)
     shares = np.linspace(0.0, 1.0, CANDIDATES)
@@ -266,14 +266,14 @@ def spread_places(region: SafeRegion, count: int) -> NDArray[np.float64]:
 def places_to_visit(guard: Guard, options: PlaneOptions | None = None) -> NDArray[np.float64]:
     """Choose the places that `define_plane` visits, in their order; nothing moves.
 
-    Ask before the arm is homed: what is wrong with heights, region and number of places shows here.
+    Call it before the arm is homed, to detect errors in heights, region and number of places.
 
     Parameters
     ----------
     guard
-        Knows plane and safe region; its robot is not asked.
+        Guard with plane and safe region; its robot is not used.
     options
-        How to go about it.
+        Options of the definition.
 
     Returns
     -------
@@ -283,9 +283,9 @@ def places_to_visit(guard: Guard, options: PlaneOptions | None = None) -> NDArra
     Raises
     ------
     OutOfReachError
-        The places, or the way over them, are outside the safe region.
+        The places, or the paths above them, are outside the safe region.
     InvalidInputError
-        More places than the region has room for.
+        More places than fit into the region.
     """
     options = options or PlaneOptions()
     region, plane = guard.region, guard.plane
@@ -314,21 +314,21 @@ def define_plane(
     *,
     progress: Callable[[Visit], None] = lambda _: None,
 ) -> PlaneByRobot:
-    """Let the gripper visit a plane, and tie every view to the robot by what is seen of it.
+    """Move the gripper over a plane, and register every view with the robot by its detections.
 
     Parameters
     ----------
     guard
-        Armed, its plane the one to define: the robot's own X and Y (`RobotPlane.same`) at the
-        plane's height. The operator's heartbeat is the caller's.
+        Armed guard, with the plane to define: the robot's own X and Y (`RobotPlane.same`) at the
+        plane's height. The caller provides the operator's heartbeat.
     cameras
-        Names and lenses of the views; its plane does not matter.
+        Names and lenses of the views; its plane is not used.
     frames
         Frames of these views, in their order.
     finders
         One per view, in the same order.
     options
-        How to go about it.
+        Options of the definition.
     progress
         Called with every visit.
 
@@ -339,16 +339,16 @@ def define_plane(
     Raises
     ------
     InvalidInputError
-        Another number of finders than of views, or a region without room.
+        The numbers of finders and views differ, or the region is too small.
     OutOfReachError
-        The places, or the way over them, are outside the safe region.
+        The places, or the paths above them, are outside the safe region.
     PlaneError
-        The gripper was not found often enough, or the places contradict each other, or leave the
-        plane too uncertain; the message says what would be right.
+        The gripper was detected too rarely, or the places contradict each other or leave the plane
+        too uncertain; the message says what would be right.
     CaptureError
         The views stopped.
     RobotError
-        The arm's; it has been stopped.
+        An error of the arm, which has been stopped.
     """
     options = options or PlaneOptions()
     if len(finders) != len(cameras.views):
@@ -417,14 +417,14 @@ class _Procedure:
         )
 
     def _watch_standing(self) -> None:
-        """Let the finders that follow the gripper catch sight of it over the region's middle."""
+        """Let finders that follow the gripper acquire it over the region's middle."""
         if any(finder.watches for finder in self._finders):
             for finder, frames in zip(self._finders, self._standing(), strict=True):
                 for frame in frames:
                     finder.watch(frame)
 
     def _visit(self, place: int) -> None:
-        """Go to a place from above, which also takes up play always the same way; look; go up."""
+        """Approach a place from above, so that backlash has one sign; detect; move up."""
         point = self._places[place]
         high_m = self._above_m + self._options.lift_m
         self._counts[place] += 1
@@ -437,7 +437,7 @@ class _Procedure:
         self._go(point, high_m)
 
     def _go(self, point: NDArray[np.float64], above_m: float) -> None:
-        """Move, and let the finders watch meanwhile if one of them wants to."""
+        """Move; meanwhile pass frames to the finders if one of them watches."""
         speed = self._options.speed_m_s
         if not any(finder.watches for finder in self._finders):
             self._guard.visit(point, above_m, speed_m_s=speed)
@@ -455,7 +455,7 @@ class _Procedure:
             moving.result()
 
     def _look(self, place: int) -> Visit:
-        """Find the gripper in every view while it stands."""
+        """Detect the gripper in every view while it stands."""
         standing = self._standing()
         point, above_m = self._guard.where()
         z_m = self._guard.plane.pose(point, above_m).z_m
@@ -475,7 +475,7 @@ class _Procedure:
         return Visit(place, position_m, tuple(sightings), "; ".join(problems))
 
     def _standing(self) -> list[list[Frame]]:
-        """Collect the wanted frames of every view, all from after the arm has settled."""
+        """Collect the required frames of every view, after the arm has settled."""
         from_s = self._guard.time_s + self._options.settle_s
         collected: list[list[Frame]] = [[] for _ in self._finders]
         while any(len(frames) < self._options.frames for frames in collected):
@@ -505,7 +505,7 @@ class _Procedure:
         )
 
     def _agreement(self, found: Sequence[int]) -> Agreement:
-        """Which of the places found agree."""
+        """Return the agreement of the places with detections."""
         positions = np.array([self._visits[place].position_m[:2] for place in found]).reshape(-1, 2)
         views = []
         for v, view in enumerate(self._cameras.views):
@@ -526,7 +526,7 @@ class _Procedure:
         )
 
     def _to_visit_again(self) -> list[int]:
-        """Places not found, or suspected, that have not been visited often enough yet."""
+        """Return places without a detection, or suspected, that may be visited again."""
         found = self._found()
         again = set(self._visits) - set(found)
         if len(found) >= MIN_REFERENCE_POINTS:
@@ -538,7 +538,7 @@ class _Procedure:
 
 
 def _view_of(view: View, tie: ViewTie, sightings: Sequence[Sighting | None]) -> View:
-    """Return a view with the pixels found as its reference points."""
+    """Return a view with the detected pixels as its reference points."""
     pixels = [tuple(map(float, one.pixel_px)) for one in sightings if one is not None]
     covariances = [(float(Σ[0, 0]), float(Σ[0, 1]), float(Σ[1, 1])) for Σ in tie.covariances_px2]
     return msgspec.structs.replace(
@@ -550,7 +550,7 @@ def _view_of(view: View, tie: ViewTie, sightings: Sequence[Sighting | None]) -> 
 
 
 def _short_way(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Order points so that each is followed by the nearest of those left, from the first corner."""
+    """Order points, starting at the first corner, by the nearest of the remaining ones."""
     left = list(range(len(points)))
     way = [left.pop(int(np.lexsort(points.T)[0]))]
     while left:

@@ -1,9 +1,9 @@
-"""A session of guidance: fixes and keys in, and the arm follows, picks and places.
+"""A session of guidance: by fixes and keys the arm follows, picks and places.
 
-Three threads. The caller's reads the views and hands every step to `Session.take`, which never
-waits for the arm; a `Worker` does what waits for it, one thing at a time, always on the newest fix;
-the guard's watch stops the arm when what it needs ends. Keys may come from a fourth, and the key
-that stops does so there and then.
+Three threads are involved. The caller's thread reads the views and passes every step to
+`Session.take`, which never waits for the arm. A `Worker` executes the jobs that wait for the arm,
+one at a time, always with the newest fix. The guard's watch stops the arm when one of its
+conditions fails. Keys may come from a fourth thread; the stop key takes effect in that thread.
 """
 
 from __future__ import annotations
@@ -52,46 +52,46 @@ KEY_HELP = (
 )
 
 HIDDEN_S = 2.0
-"""Time without a fix after which a hand may be hidden and the operator is shown the key [s]."""
+"""Time without a fix after which a hand may be hidden, and the key is shown to the operator [s]."""
 
 HALTED = (NotArmedError, NotHomedError, StoppedError)
-"""What a command raises that the guard has halted meanwhile, or that no arm can carry out before it
-is homed again, as one without encoders after a stop in motion."""
+"""Errors of a command that the guard has halted meanwhile, or that the arm cannot execute before
+it is homed again, such as one without encoders after a stop in motion."""
 
 POLL_S = 0.02
-"""How often keys are looked for while nothing else happens [s]."""
+"""Interval at which keys are polled while nothing else happens [s]."""
 
 STRANGER = "nothing shows that this hand is the operator's"
-"""Why the fix of a hand that nobody has confirmed moves nothing."""
+"""Reason for ignoring the fix of a hand that has not been confirmed as the operator's."""
 
 
 class Activity(StrEnum):
-    """What the arm does while the guard is armed."""
+    """Activity of the arm while the guard is armed."""
 
     STAY = "stay"
-    """Nothing."""
+    """It stands still."""
     FOLLOW = "follow"
-    """It goes where the hand points."""
+    """It moves to the indicated point."""
     CARRY = "carry"
-    """It follows too, and what is selected is picked and placed."""
+    """It follows, and picks and places selected blocks."""
     HOME = "home"
-    """It homes, and stays."""
+    """It homes, then stands still."""
 
 
 @dataclass
 class SessionReport:
-    """What happened in a session.
+    """Statistics of a session.
 
     Attributes
     ----------
     fixes
-        How many, by status.
+        Number of fixes by status.
     states
-        What the follower did with those it took, by state.
+        Number of fixes given to the follower, by its resulting state.
     lags_s
-        How late the smoothing made each target [s].
+        Delay of each target by the smoothing [s].
     blocks
-        Blocks picked and placed.
+        Number of blocks picked and placed.
     """
 
     fixes: Counter[str] = field(default_factory=Counter)
@@ -100,21 +100,21 @@ class SessionReport:
     blocks: int = 0
 
     def add(self, report: FollowReport) -> None:
-        """Count what the follower did."""
+        """Count a report of the follower."""
         self.states[report.state.value] += 1
         if report.target is not None:
             self.lags_s.append(report.lag_s)
 
     def lag_ms(self) -> dict[str, float] | None:
-        """Return least, median and largest lag of the smoothing [ms], if there was any."""
-        lags_s = [lag_s for lag_s in self.lags_s if lag_s > 0]  # the first point passes as it is
+        """Return least, median and largest lag of the smoothing [ms]; None without any."""
+        lags_s = [lag_s for lag_s in self.lags_s if lag_s > 0]  # the first point is not smoothed
         if not lags_s:
             return None
         least, median, largest = 1000 * np.percentile(lags_s, [0, 50, 100])
         return {"least": float(least), "median": float(median), "largest": float(largest)}
 
     def lines(self) -> list[str]:
-        """Return the summary, a line each."""
+        """Return the summary, line by line."""
         said = ["fixes    " + _counts(self.fixes)]
         if self.states:
             said.append("arm      " + _counts(self.states))
@@ -138,40 +138,41 @@ class SessionReport:
 
 
 class Session:
-    """Follow mode, and on top of it picking and placing; a context manager.
+    """Following, with optional picking and placing; a context manager.
 
-    What the arm has raised last is raised on leaving, if nothing else ends the block.
+    The last error of the arm is raised on exit, unless another exception ends the block.
 
     Parameters
     ----------
     guard
-        Armed, the gripper in the safe region.
+        Armed guard, with the gripper in the safe region.
     follower
         Follows between selections.
     attendance
-        What shows that the operator is there. A hand does so once it is known to be his.
+        Evidence of the operator's presence. A hand is evidence once it is confirmed as the
+        operator's.
     selector
-        Selects by dwelling as well as by key; None selects by key alone.
+        Selects by dwelling, in addition to the key; None selects by key alone.
     carry
         Heights and grip of picking and placing; None only follows.
     step_by_step
-        Every step of picking and placing waits for the key that continues.
+        Whether every step of picking and placing waits for the key to continue.
     blocks
-        Blocks to carry until the session is done.
+        Number of blocks to carry until the session is done.
     keys
-        Whether there are keys: without them, a guard that has been halted ends the session.
+        Whether there are keys: without them, a halted guard ends the session.
     home
-        Homes an arm that has lost its position, at the key that continues; None ends the session.
+        Homes an arm that has lost its position, on the key to continue; None ends the session.
     activity
-        What the arm does at first; by default it carries if there is `carry`, and else follows.
+        Initial activity; by default `CARRY` with `carry`, else `FOLLOW`.
     key_help
-        Said where the operator has to press a key.
+        Text appended to messages that request a key.
     worker
-        Does what waits for the arm.
+        Executes the jobs that wait for the arm.
     sleep
-        Waits for so many seconds of the guard's clock.
+        Waits for a time on the guard's clock [s].
     say
-        Called with what the operator should know, a line each.
+        Called with messages for the operator, one line each.
     on_report
         Called with every report of the follower and its fix, in the worker's thread.
     """
@@ -229,17 +230,17 @@ class Session:
 
     @property
     def has_hand(self) -> bool:
-        """Whether a hand has been shown to be the operator's."""
+        """Whether a hand has been confirmed as the operator's."""
         return self._hand is not None
 
     @property
     def is_out_of_the_way(self) -> bool:
-        """Whether the arm stands where it has made way to."""
+        """Whether the arm has retreated and stands there."""
         return self._is_out_of_the_way
 
     @property
     def activity(self) -> Activity:
-        """What the arm does while the guard is armed."""
+        """Activity of the arm while the guard is armed."""
         return self._activity
 
     @property
@@ -249,7 +250,7 @@ class Session:
 
     @property
     def next_step(self) -> str:
-        """The step of picking and placing that comes next, while one is held up; else empty."""
+        """Next step of picking and placing, while it waits for the key; else empty."""
         step = None if self._machine is None or not self._paused else self._machine.next_step
         return "" if step is None else str(step)
 
@@ -261,12 +262,12 @@ class Session:
 
     @property
     def dwell_progress(self) -> float:
-        """How much of the time has passed after which staying selects, 0 to 1."""
+        """Fraction of the dwell time that has passed, 0 to 1."""
         return 0.0 if self._dwell is None or not self._carries else self._dwell.progress
 
     @property
     def sees_stranger(self) -> bool:
-        """Whether a hand points that nobody has confirmed to be the operator's."""
+        """Whether a hand points that has not been confirmed as the operator's."""
         return self._sees_stranger
 
     @property
@@ -276,7 +277,7 @@ class Session:
 
     @property
     def selections(self) -> int:
-        """How many points the operator has selected, those that have been carried out included."""
+        """Number of points that the operator has selected, including completed ones."""
         under_way = 2 if self._machine is not None else len(self._selections)
         return 2 * self.report.blocks + under_way
 
@@ -297,26 +298,26 @@ class Session:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        # Before the worker is waited for: what it waits for is the arm.
+        # Stop the arm first: the worker may be waiting for it.
         try:
             self._guard.__exit__(kind, error, trace)
         finally:
             self._worker.__exit__(kind, error, trace)
         if kind is None:
-            self._worker.check()  # what it did last, no step has asked about
+            self._worker.check()  # for an error since the last step
 
     def begin(self) -> None:
-        """Arm the guard, have the gripper enter the safe region, and return when it is there.
+        """Arm the guard, move the gripper into the safe region, and return when it is there.
 
-        Where a key shows that the operator is there, he holds one down first. A stop on the way
-        ends nothing where there are keys: the one that continues arms again.
+        If a key proves the operator's presence, one must be held down first. With keys, a stop on
+        the way does not end the session: the key to continue arms the guard again.
 
         Raises
         ------
         NotArmedError
             Stopped on the way, and there are no keys.
         RobotError
-            The arm's; it has been stopped.
+            An error of the arm, which has been stopped.
         """
         holds_key = self._attendance is Attendance.KEY
         if holds_key:
@@ -334,7 +335,7 @@ class Session:
                 self._wait_for_key(CONTINUE_KEY)
 
     def _wait_for_key(self, wanted: str = "") -> None:
-        """Wait for one of these keys, for any without a name, or for the one that quits."""
+        """Wait for one of these keys, or for any if none is given, or for the key that quits."""
         while not self._quit:
             while self._pressed:
                 key, _ = self._pressed.popleft()
@@ -345,7 +346,7 @@ class Session:
             self._sleep(POLL_S)
 
     def press(self, key: str) -> None:
-        """Take a key, from any thread; the key that stops does so at once."""
+        """Process a key, from any thread; the stop key takes effect at once."""
         if self._attendance is Attendance.KEY or key == AWAY_KEY:
             self._guard.heartbeat()
         if key in STOP_KEYS:
@@ -354,14 +355,14 @@ class Session:
             self._pressed.append((key, self._guard.disarmings))
 
     def take_up(self, activity: Activity) -> None:
-        """Have the arm do something else from the next step on, from any thread.
+        """Change the activity from the next step on, from any thread.
 
-        What has been picked is forgotten if the arm follows next, wherever it is by then.
+        If the arm follows next, picking and placing is abandoned, wherever the block is by then.
 
         Parameters
         ----------
         activity
-            What. `Activity.CARRY` needs `carry`, and `Activity.HOME` needs `home`.
+            `Activity.CARRY` requires `carry`, and `Activity.HOME` requires `home`.
 
         Raises
         ------
@@ -375,19 +376,19 @@ class Session:
         self._pressed.append((activity, self._guard.disarmings))
 
     def leave(self) -> None:
-        """Take it that the operator's terminal is gone, from any thread."""
+        """Handle the loss of the operator's terminal, from any thread."""
         self._guard.halt("the terminal is gone")
         self._quit = True
 
     def take(self, step: Step) -> None:
-        """Take a step of the views.
+        """Process a step of the views.
 
         Raises
         ------
         NotArmedError
             The guard has been halted and there are no keys to arm it again.
         RobotError
-            The arm's; it has been stopped.
+            An error of the arm, which has been stopped.
         """
         self.report.fixes[step.fix.status.value] += 1
         fix = self._own(step)
@@ -409,10 +410,10 @@ class Session:
             if self._dwell is not None and self._carries and self._machine is None:
                 self._selected(self._dwell.update(fix, self._last))
 
-    # Whose hand it is.
+    # Identity of the hand.
 
     def _own(self, step: Step) -> Fix:
-        """Return the fix of the operator's hand; that of any other hand is none."""
+        """Return the fix if it is of the operator's hand; else one without a point."""
         hand, fix = step.hand, step.fix
         if hand.is_presented:
             self._accept_hand(hand.number)
@@ -435,7 +436,7 @@ class Session:
         is_tracked = any(isinstance(one.finger, FingerLine) for one in step.observations)
         return is_tracked and step.hand.number == self._hand
 
-    # What the operator wants.
+    # The operator's commands.
 
     @property
     def _carries(self) -> bool:
@@ -519,7 +520,7 @@ class Session:
 
     def _continue(self, disarmings: int, *, undo: bool) -> None:
         if self._is_homing or (not self._worker.idle and self._machine is not None):
-            return  # a step is being taken: only a stop may come in between
+            return  # a step is in progress: only a stop may interrupt it
         machine = self._machine
         if undo and machine is None:
             self._say("nothing to undo")
@@ -536,9 +537,9 @@ class Session:
             self._worker.offer(lambda: self._advance(machine))
 
     def _arm_again(self, disarmings: int) -> bool:
-        """Arm after a stop; say why if that cannot be yet, and home what has to be homed first.
+        """Arm after a stop; home the arm first if necessary; report why if that is impossible.
 
-        What was asked for before the last stop is void.
+        A command that was given before the last stop is void.
         """
         try:
             self._guard.arm(disarmings)
@@ -556,14 +557,14 @@ class Session:
         return True
 
     def _start_making_way(self) -> None:
-        """Take it that the key is held: it repeats, and one retreat answers all of it."""
+        """Start one retreat for a key that is held down and repeats."""
         idle = self._machine is None and not self._making_way and not self._is_out_of_the_way
         if idle and self._guard.armed:
             self._making_way = True
             self._worker.offer(self._make_way)
 
     def _report_hidden_hand(self, fix: Fix) -> None:
-        """Tell once that a hand without a fix for long may be hidden."""
+        """Report once that a hand without a fix for a long time may be hidden."""
         if fix.status is Status.OK:
             self._seen_s = fix.time_s
         elif self._keys and self._seen_s is not None and fix.time_s - self._seen_s > HIDDEN_S:
@@ -579,7 +580,7 @@ class Session:
             self._say_stopped()
 
     def _say_stopped(self) -> None:
-        """Say why the arm has been stopped.
+        """Report why the arm has been stopped.
 
         Raises
         ------
@@ -595,7 +596,7 @@ class Session:
     def _why_stopped(self) -> str:
         return self._guard.why_stopped or "never armed"
 
-    # What the worker does.
+    # Jobs of the worker.
 
     def _follow(self, fix: Fix) -> None:
         before = self._last
@@ -606,9 +607,9 @@ class Session:
                 return
             self._last = report = self._follower.update(fix)
             if report.state is FollowState.HOLDING:
-                self._guard.locate()  # for what it covers of the views
+                self._guard.locate()  # for its silhouette in the views
         except HALTED:
-            self._last = None  # the next step says so
+            self._last = None  # the next step reports it
             return
         self.report.add(report)
         held = before is not None and before.state is FollowState.HOLDING
@@ -618,7 +619,7 @@ class Session:
         self._on_report(report.fix or fix, report)
 
     def _do_home(self, home: Callable[[], None], disarmings: int | None) -> None:
-        """Home the arm; then arm it as asked for after a number of disarmings, unless None."""
+        """Home the arm; then arm it, if `disarmings` is still the guard's count; not with None."""
         self._say("homing; the arm moves")
         try:
             home()
@@ -626,7 +627,7 @@ class Session:
                 self._guard.arm(disarmings)
                 self._guard.enter()
         except HALTED:
-            return  # the next step says so
+            return  # the next step reports it
         finally:
             self._is_homing = False
         self._reported_stop = None
@@ -638,7 +639,7 @@ class Session:
         try:
             self._guard.make_way()
         except HALTED:
-            pass  # the next step says so
+            pass  # the next step reports it
         except RefusedError as error:
             self._say(f"not out of the way: {error}")
         else:

@@ -1,4 +1,4 @@
-"""From a rig file's [robot] table to a guarded robot."""
+"""Makes a guarded robot from the [robot] table of a rig file."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from fingerpost.robot.guard import RecordCallback
 
 
 def robot_of(rig: Rig) -> RobotTable:
-    """Return a rig's robot.
+    """Return the [robot] table of a rig.
 
     Raises
     ------
     RigError
-        It has none, or a plane whose unit is not the metre.
+        It has no robot, or the unit of its plane is not the metre.
     """
     if rig.robot is None:
         raise RigError(
@@ -84,14 +84,14 @@ def guard_of(
     robot
         The robot, connected before the guard is armed.
     table
-        Plane, region, and how the gripper is held.
+        Plane, region, and orientation of the gripper.
     options, clock, on_record
-        As for `fingerpost.robot.Guard`.
+        As in `fingerpost.robot.Guard`.
 
     Raises
     ------
     InvalidInputError
-        A region that is none, or too small.
+        An invalid region, or one that is too small.
     """
     return Guard(
         robot, plane_of(table), region_of(table), options, clock=clock, on_record=on_record
@@ -99,19 +99,20 @@ def guard_of(
 
 
 def held_down(robot: Robot, pose: Pose) -> dict[str, float]:
-    """Tell how a gripper points straight down, for the angles of a [robot] table.
+    """Return the angles at which a gripper points straight down, for a [robot] table.
 
     Parameters
     ----------
     robot
-        Says which angles it can set.
+        The robot, which knows the angles that it can set.
     pose
-        Where it stands now; its roll and yaw are kept.
+        Its present pose; roll and yaw are kept.
 
     Returns
     -------
     dict
-        `pitch_deg` and the others that the arm sets; empty for an arm whose gripper always does.
+        `pitch_deg` and the other angles of the arm; empty for an arm whose gripper always points
+        down.
     """
     limits = robot.limits
     if limits is None or Angle.PITCH not in limits.angles:

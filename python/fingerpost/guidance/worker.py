@@ -1,7 +1,7 @@
-"""Who does what waits for the arm: one job at a time, the newest of those that wait.
+"""Executes jobs that wait for the arm: one at a time, with only the newest one queued.
 
-`Worker` does it in a thread, so that views and keys are taken meanwhile. `Turns` does it in the
-caller's thread, on request: for a simulated world, in which nothing happens at one time.
+`Worker` uses a thread, so that views and keys are processed meanwhile. `Turns` uses the caller's
+thread, on request, for a simulated world without concurrency.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ Job = Callable[[], None]
 
 
 class Jobs(Protocol):
-    """What a session needs of its worker; a context manager."""
+    """Interface of a session's worker; a context manager."""
 
     @property
     def idle(self) -> bool:
-        """Whether there is nothing to do."""
+        """Whether there is no job."""
 
     def offer(self, job: Job) -> None:
-        """Do this next, in place of whatever waits."""
+        """Queue a job, in place of a waiting one."""
 
     def check(self) -> None:
-        """Raise what a job has raised; nothing more is done after that."""
+        """Raise the error of a job, after which no other is executed."""
 
     def __enter__(self) -> Self: ...
 
@@ -38,7 +38,7 @@ class Jobs(Protocol):
 
 
 class Worker:
-    """Does one thing at a time in a thread; of those that wait, the newest. A context manager."""
+    """Executes one job at a time in a thread; only the newest one waits. A context manager."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -50,18 +50,18 @@ class Worker:
 
     @property
     def idle(self) -> bool:
-        """Whether there is nothing to do."""
+        """Whether there is no job."""
         with self._changed:
             return self._job is None and not self._busy
 
     def offer(self, job: Job) -> None:
-        """Do this next, in place of whatever waits."""
+        """Queue a job, in place of a waiting one."""
         with self._changed:
             self._job = job
             self._changed.notify_all()
 
     def check(self) -> None:
-        """Raise what a job has raised; nothing more is done after that."""
+        """Raise the error of a job, after which no other is executed."""
         if self._error is not None:
             raise self._error
 
@@ -91,7 +91,7 @@ class Worker:
                 self._busy = True
             try:
                 job()
-            except BaseException as error:  # whatever it is, the caller's thread must hear of it
+            except BaseException as error:  # any error is raised again in the caller's thread
                 self._error = error
                 return
             finally:
@@ -100,7 +100,7 @@ class Worker:
 
 
 class Turns:
-    """Does its jobs in the caller's thread, one for every call of `run`; a context manager."""
+    """Executes jobs in the caller's thread, one per call of `run`; a context manager."""
 
     def __init__(self) -> None:
         self._job: Job | None = None
@@ -109,27 +109,27 @@ class Turns:
 
     @property
     def idle(self) -> bool:
-        """Whether there is nothing to do."""
+        """Whether there is no job."""
         return self._job is None and not self._busy
 
     def offer(self, job: Job) -> None:
-        """Do this next, in place of whatever waits."""
+        """Queue a job, in place of a waiting one."""
         self._job = job
 
     def check(self) -> None:
-        """Raise what a job has raised; nothing more is done after that."""
+        """Raise the error of a job, after which no other is executed."""
         if self._error is not None:
             raise self._error
 
     def run(self) -> bool:
-        """Do what waits, and return whether anything did."""
+        """Execute the waiting job; return whether there was one."""
         job, self._job = self._job, None
         if job is None or self._error is not None:
             return False
         self._busy = True
         try:
             job()
-        except BaseException as error:  # whatever it is, the session must hear of it
+        except BaseException as error:  # any error is raised again in the session
             self._error = error
         finally:
             self._busy = False

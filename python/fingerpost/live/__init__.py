@@ -1,13 +1,13 @@
-"""The operator's page: see where you point, at camera rate, in a browser.
+"""The operator's page: shows the indicated point in a browser, at camera rate.
 
-The main loop goes on as ever (`operate`); its results are handed to a process of its own (`page`,
+The main loop runs unchanged (`operate`). Its results are passed to a separate process (`page`,
 `process`), which serves one page and one WebSocket (`web`, `client`). A binary message carries one
-moment: what is drawn over the pictures and the pictures themselves, which therefore always belong
-to one instant (`moment`, `scene`, `composer`). The newest moment wins, and a page that does not
-keep up costs nothing. Recordings are played at their own pace, to and fro (`player`, `reel`).
+moment: the pictures and the scene drawn over them, which therefore always belong to one instant
+(`moment`, `scene`, `composer`). Older moments are dropped for the newest, so a slow page delays
+nothing. Recordings are played at their own pace, forwards and backwards (`player`, `reel`).
 
-Only pages of this server that were opened with its token are answered (`web.Guard`); whoever asks
-too slowly, too much or for nonsense is refused in one line (`patience`, `commands`).
+Only pages of this server that were opened with its token are served (`web.Guard`). Requests that
+are too slow, too many or invalid are refused with one line (`patience`, `commands`).
 """
 
 from fingerpost.live.desk import OPERATOR_TIMEOUT_S, GuidingDesk

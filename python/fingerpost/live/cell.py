@@ -1,7 +1,7 @@
-"""The simulated robot cell on the operator's page: nothing is plugged in, and nothing is left out.
+"""The simulated robot cell on the operator's page: the complete system, without hardware.
 
-The hand is a simulated one. It points at the block, and once that is selected at its new place, and
-corrects by what it sees the arm do; whether the arm moves, and what it does, is the page's.
+The hand is simulated. It points at the block and, once that is selected, at its new place, and
+corrects its aim by the motion of the arm. The page decides whether the arm moves, and what it does.
 """
 
 from __future__ import annotations
@@ -27,35 +27,35 @@ from fingerpost.live.scene import RigScene
 from fingerpost.simulate import Hand
 
 _FOREVER_S = 1e9
-_LATE_S = 0.5  # behind the wall clock, after which the world no longer hurries after it
+_LATE_S = 0.5  # behind the wall clock, after which the world no longer catches up
 
 Array = NDArray[np.float64]
 
 
 def operate_cell(
-    page: Page, *, seed: int = 0, tell: Callable[[str], None] = lambda _: None
+    page: Page, *, seed: int = 0, report: Callable[[str], None] = lambda _: None
 ) -> None:
-    """Show the simulated cell on the page, and have the page guide its arm, until it is closed.
+    """Show the simulated cell on the page, which guides its arm, until the page is closed.
 
     Parameters
     ----------
     page
         The page.
     seed
-        Of everything random, ≥ 0.
-    tell
-        Called now and then with what is being done before the page has something to show.
+        Seed of all random numbers, ≥ 0.
+    report
+        Called with messages on the progress until the page has something to show.
 
     Raises
     ------
     RobotError
-        The simulated arm's.
+        An error of the simulated arm.
     FingerpostError
         The page's process has ended.
     """
     rng = np.random.default_rng(seed)
     block_mm, place_mm = block_and_place_mm(rng)
-    with staged(rng, block_mm, tell) as (stage, note):
+    with staged(rng, block_mm, report) as (stage, note):
         visitor = Visitor(page, stage, place_mm, rng)
         scene = RigScene.of(
             stage.name,
@@ -73,16 +73,16 @@ def operate_cell(
 
 
 class Visitor:
-    """Who stands before the cell: his hand is simulated, his keys are the page's.
+    """The operator of the cell: a simulated hand, with the keys of the page.
 
     Parameters
     ----------
     page, stage
         The page, and the cell.
     place_mm
-        (2,) where the block goes first; then back, and so on.
+        (2,) First destination of the block; then back, and so on.
     rng
-        Of the hand.
+        Random numbers of the hand.
     """
 
     done = False
@@ -111,7 +111,7 @@ class Visitor:
         self._begun_s = time.monotonic() - stage.world.time_s
 
     def act(self, time_s: float) -> None:
-        """Wait for the wall clock, do what the page asks, and move the hand to where it points."""
+        """Wait for the wall clock, execute the page's commands, and move the hand."""
         early_s = self._begun_s + time_s - time.monotonic()
         if early_s > 0.0:
             time.sleep(early_s)
@@ -131,7 +131,7 @@ class Visitor:
         aim = session.report.blocks, session.selections % 2
         if aim == self._aim:
             return
-        if self._aim is not None and aim[0] != self._aim[0]:  # it lies where it should: and back
+        if self._aim is not None and aim[0] != self._aim[0]:  # the block is placed: move it back
             self._place_mm = self._origin_mm
         if aim[1] == 0:
             self._origin_mm = self._stage.cell.block_mm[:2].copy()

@@ -1,4 +1,4 @@
-"""One page that is open: what is sent to it, never more than it keeps up with, and what it asks."""
+"""One open page: sends no more than it can draw, and receives its commands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fingerpost.live.hub import Hub
 _log = logging.getLogger(__name__)
 
 WINDOW = 2
-"""Moments that may be on their way to a page, not drawn yet; of all others the newest wins."""
+"""Greatest number of moments sent but not yet drawn; of the others only the newest is kept."""
 
 _LATENCIES = 30
 _NOT_JSON, _NOT_TEXT = 1007, 1003
@@ -31,7 +31,7 @@ class Client:
     websocket
         Its connection, accepted.
     hub
-        The hub, which sends what to show, and takes its commands.
+        The hub, which provides moments and executes commands.
     """
 
     def __init__(self, websocket: WebSocket, hub: Hub) -> None:
@@ -45,17 +45,17 @@ class Client:
         self._wake = asyncio.Event()
 
     def offer(self, message: bytes, begun_s: float | None) -> None:
-        """Take the newest moment, in place of any that has not been sent."""
+        """Queue the newest moment, in place of one that has not been sent."""
         self._newest = message, begun_s
         self._wake.set()
 
     def send_state(self) -> None:
-        """Send the state anew, once."""
+        """Request one transmission of the state."""
         self._has_news = True
         self._wake.set()
 
     async def run(self) -> None:
-        """Serve the page until it goes away."""
+        """Serve the page until it disconnects."""
         sender = asyncio.create_task(self._send())
         self._hub.add(self)
         try:
@@ -75,7 +75,7 @@ class Client:
                     (message, begun_s), self._newest = self._newest, None
                     self._on_way.append(begun_s)
                     await self._websocket.send_bytes(message)
-        except (WebSocketDisconnect, RuntimeError):  # gone; whoever receives ends it all
+        except (WebSocketDisconnect, RuntimeError):  # disconnected; the receiver ends the client
             return
 
     async def _send_text(self) -> None:
@@ -110,7 +110,7 @@ class Client:
                 self._wake.set()
 
     def _drawn(self) -> None:
-        """Count a moment as drawn; without one on its way, an answer means nothing."""
+        """Count a moment as drawn; ignore an acknowledgement without an outstanding one."""
         if not self._on_way:
             return
         begun_s = self._on_way.popleft()

@@ -1,4 +1,4 @@
-"""What a page may ask for: one JSON object a message, and nothing else."""
+"""Commands of a page: each message is one JSON object."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import msgspec
 from fingerpost.live.setup.asked import SetUpCommand
 
 LARGEST_BYTES = 64 * 1024
-"""Longest message that is read at all."""
+"""Longest message that is read."""
 
 FRAMED = "/framed/"
-"""Paths that begin with this and the token are those of a page in a frame of another site."""
+"""Prefix, before the token, of the paths of a page in a frame of another site."""
 
 
 class _Command(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="do"):
-    """What all commands share: no other keys."""
+    """Base class of all commands: unknown keys are refused."""
 
 
 class Ack(_Command, frozen=True, tag="ack"):
@@ -24,20 +24,20 @@ class Ack(_Command, frozen=True, tag="ack"):
 
 
 class Stop(_Command, frozen=True, tag="stop"):
-    """Stand still at once."""
+    """Stop at once."""
 
 
 class Play(_Command, frozen=True, tag="play"):
-    """Go on."""
+    """Continue playing."""
 
 
 class Step(_Command, frozen=True, tag="step"):
-    """Stand still, so many moments further.
+    """Stop after a number of further moments.
 
     Attributes
     ----------
     by
-        How many; below 0 is back.
+        Number of moments; negative for backwards.
     """
 
     by: int
@@ -49,57 +49,57 @@ class GoTo(_Command, frozen=True, tag="seek"):
     Attributes
     ----------
     number
-        Which, from 0.
+        Number of the moment, from 0.
     """
 
     number: int
 
 
 class Take(_Command, frozen=True, tag="take"):
-    """Take the control over from another page."""
+    """Take control from another page."""
 
 
 class Wish(StrEnum):
-    """What an operator may ask of an arm."""
+    """Commands of an operator to an arm."""
 
     ARM = "arm"
-    """Let it move while the page holds."""
+    """Permit motion while the page's button is held."""
     DISARM = "disarm"
     HOME = "home"
     FOLLOW = "follow"
     CARRY = "carry"
-    """Pick and place what is selected."""
+    """Pick and place selected blocks."""
     UNDO = "undo"
     """Undo the last step of picking and placing."""
     WAY = "way"
-    """Make way for a hand that it hides."""
+    """Retreat from a hand that the arm hides."""
     SELECT = "select"
     HAND = "hand"
-    """The hand that is seen is the operator's."""
+    """Confirm that the tracked hand is the operator's."""
 
 
 class Ask(_Command, frozen=True, tag="robot"):
-    """Ask something of the arm.
+    """Command the arm.
 
     Attributes
     ----------
     what
-        What.
+        The command.
     """
 
     what: Wish
 
 
 class Beat(_Command, frozen=True, tag="beat"):
-    """The operator holds down what lets the arm move; several a second."""
+    """The operator holds down the button that permits motion; sent several times a second."""
 
 
 class LetGo(_Command, frozen=True, tag="release"):
-    """The operator has let go."""
+    """The operator has released the button."""
 
 
 class Try(StrEnum):
-    """What an operator does in an experiment."""
+    """Commands of an operator in an experiment."""
 
     START = "start"
     SELECT = "select"
@@ -108,19 +108,19 @@ class Try(StrEnum):
 
 
 class Experiment(_Command, frozen=True, tag="experiment"):
-    """Point at targets in random order.
+    """Control an experiment, in which the operator points at targets in random order.
 
     Attributes
     ----------
     what
-        What is done.
+        The command.
     """
 
     what: Try
 
 
 class Gone(msgspec.Struct, frozen=True):
-    """The page that had the control has gone, or another one has it: the server says so itself."""
+    """The controlling page has disconnected or lost control; sent by the server itself."""
 
 
 RobotCommand = Stop | Ask | Beat | LetGo | Gone
@@ -128,4 +128,4 @@ RobotCommand = Stop | Ask | Beat | LetGo | Gone
 Command = Ack | Stop | Play | Step | GoTo | Take | SetUpCommand | Ask | Beat | LetGo | Experiment
 
 decode = msgspec.json.Decoder(Command).decode
-"""From JSON to a command; raises `msgspec.MsgspecError`."""
+"""Decodes a command from JSON; raises `msgspec.MsgspecError`."""

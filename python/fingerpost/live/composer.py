@@ -1,4 +1,4 @@
-"""From moments to messages: the bytes that every client gets alike, made once."""
+"""Encodes moments as messages, once for all clients."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from fingerpost.live.reel import Indicated, Message
 from fingerpost.live.scene import CONFIDENCE, RigScene, scene_of
 from fingerpost.pointing import Fix
 
-_TRAIL = 40  # points that the plan shows behind the newest one
+_TRAIL = 40  # earlier points that the plan shows
 
 _LEAST, _LARGEST = 1e-3, 0.2
-"""Shares of the plane between which the strip shows how large the ellipse is, by its logarithm."""
+"""Range of the ellipse's size on the strip's logarithmic scale, relative to the plane."""
 
 _CODES = {"ok": "o", "tracking": "o", "acquiring": "a", "lost": "l", "moved": "m"}
 
 
 class Composer:
-    """Makes messages of a rig's moments, in their order; each shows the trail of those before.
+    """Encodes a rig's moments in order; each message includes the trail of earlier points.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Composer:
         self._trail: deque[tuple[float, float]] = deque(maxlen=_TRAIL)
 
     def message(self, moment: Moment) -> Message:
-        """Return a moment as the page gets it."""
+        """Encode a moment for the page."""
         scene = msgspec.json.encode(scene_of(moment, self._rig, self._trail))
         length = len(scene).to_bytes(4, "little")
         if moment.fix.point is not None:
@@ -53,7 +53,7 @@ class Composer:
 
 
 def uncertainty_code(fix: Fix, plane_size: float) -> str:
-    """Return how uncertain a fix is as the strip shows it: a digit, or a dash without a point.
+    """Return the uncertainty of a fix as the strip shows it: a digit, or a dash without a point.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""The operator's page as the place from which an arm is guided.
+"""Guides an arm from the operator's page.
 
-Two things must come together before the arm moves. It is armed by an explicit command, which lasts
-until a stop; and a button or a key is held down, of which the page sends beats. A beat that stays
-out, a page that goes away and a hand that lets go stop the arm. A stop never waits: it goes to the
-guard from the thread that reads the page's commands, while everything else is taken up by the
-session on the next step of the views.
+The arm moves only under two conditions: it has been armed by an explicit command, which is valid
+until a stop; and a button or a key is held down, for which the page sends heartbeats. A missing
+heartbeat, a page that disconnects and a released button stop the arm. A stop never waits: it is
+passed to the guard by the thread that reads the page's commands, whereas the session executes all
+other commands at the next step of the views.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from fingerpost.robot.stopping import WATCH_S
 _log = logging.getLogger(__name__)
 
 SILENT_S = 0.4
-"""A page that holds and has sent no beat for so long has gone [s]."""
+"""Time without a heartbeat after which a page that held the button counts as disconnected [s]."""
 
 OPERATOR_TIMEOUT_S = 0.45
-"""For the guard, should the watch of the beats fail itself [s]."""
+"""Time-out of the guard, in case the watch of the heartbeats itself fails [s]."""
 
 MOST_BLOCKS = 2**31 - 1
-"""A session on the page ends by no number of blocks."""
+"""Number of blocks of a session on the page: unlimited."""
 
 _POST_S = 0.1
 _UNDO, _WAY = Wish.UNDO, Wish.WAY
@@ -45,16 +45,16 @@ _KEYS = {Wish.SELECT: "s", Wish.HAND: "h"}
 
 
 class Desk:
-    """What an operator at the page has an arm do.
+    """Executes the commands of an operator at the page.
 
     Parameters
     ----------
     guard, robot
-        The arm's.
+        The arm and its guard.
     carries
         Whether it can pick and place.
     clock
-        Gives the time in seconds.
+        Returns the time [s].
     """
 
     def __init__(
@@ -70,23 +70,23 @@ class Desk:
         self._wish = Wish.FOLLOW
         self._is_armed = False
         self._holds = False
-        self._heard_s = -math.inf
+        self._beat_s = -math.inf
         self._said = ""
         self._marks: dict[str, Any] = {}
         self._posted: dict[str, Any] = {}
         self._posted_s = -math.inf
 
     def add_marks(self, marks: dict[str, Any]) -> None:
-        """Show on the plan what else is known to be there: a block, and where it goes."""
+        """Add known objects to the plan: a block, and its destination."""
         self._marks = marks
 
     def keep(self, words: str) -> None:
-        """Keep what the session says, to be shown."""
+        """Store a message of the session for display."""
         self._said = words.strip()
 
     @contextmanager
     def opened(self, session: Session) -> Iterator[Session]:
-        """Guide the arm by a session, which does nothing at first, as long as the block lasts."""
+        """Guide the arm by a session, initially idle, for the duration of the block."""
         self._session = session
         try:
             yield session
@@ -94,7 +94,7 @@ class Desk:
             self._session = None
 
     def obey(self, command: RobotCommand) -> None:
-        """Take a command of the page, from any thread; what stops does so at once."""
+        """Execute a command of the page, from any thread; a stop takes effect at once."""
         match command:
             case Stop():
                 self._stop("STOP was pressed")
@@ -107,7 +107,7 @@ class Desk:
             case Ask(what=what):
                 self._ask(what)
 
-    # What stops.
+    # Commands that stop the arm.
 
     def _stop(self, why: str) -> None:
         self._is_armed = self._holds = False
@@ -118,10 +118,10 @@ class Desk:
             self._holds = False
             self._guard.halt(why)
 
-    # What moves.
+    # Commands that move the arm.
 
     def _beat(self) -> None:
-        self._heard_s = self._clock()
+        self._beat_s = self._clock()
         if self._holds:
             self._guard.heartbeat()
         elif self._is_armed and self._session is not None:
@@ -145,7 +145,7 @@ class Desk:
                 self._begin(session)
 
     def _begin(self, session: Session) -> None:
-        """Have the arm do what was chosen, as long as it is held."""
+        """Start the chosen activity, for as long as the button is held."""
         if self._wish is _UNDO:
             session.press("u")
         elif self._wish is _WAY:
@@ -158,20 +158,20 @@ class Desk:
             if activity is not Activity.HOME:
                 session.press("c")
 
-    # What is watched and shown.
+    # Watch and display.
 
     def tick(self, post: Callable[[dict[str, Any]], None]) -> None:
-        """Stop what nobody holds any more, and show how things stand; call it every `WATCH_S`.
+        """Stop motion without a held button, and update the display; call it every `WATCH_S`.
 
         Parameters
         ----------
         post
-            Called with what the page shows of the arm.
+            Called with the arm's state for the page.
         """
         session, now_s = self._session, self._clock()
         if session is None:
             return
-        if self._holds and now_s - self._heard_s > SILENT_S:
+        if self._holds and now_s - self._beat_s > SILENT_S:
             self._stop("the page is silent")
         self._stop_homing_unheld(session)
         if now_s - self._posted_s >= _POST_S:
@@ -181,14 +181,14 @@ class Desk:
             self._posted, self._posted_s = state, now_s
 
     def _stop_homing_unheld(self, session: Session) -> None:
-        """Homing is no motion of the guard's: a stop just before it has begun does not reach it."""
+        """Stop homing without a held button: the guard does not stop it just before it begins."""
         if session.is_homing and not self._holds:
             with suppress(RobotError):
                 if self._robot.status().state is RobotState.HOMING:
                     self._guard.halt("nobody holds")
 
     def _state(self, session: Session) -> dict[str, Any]:
-        """Return what the page shows of the arm, fit for JSON."""
+        """Return the arm's state for the page, as JSON values."""
         status = self._robot.status()
         pose = self._guard.pose
         return {
@@ -213,7 +213,7 @@ class Desk:
         }
 
     def _why(self, session: Session, *, homed: bool) -> str:
-        """Say why the arm stands; empty while it does what it is to do."""
+        """Return why the arm stands; empty while it carries out its activity."""
         if session.is_homing:
             return ""
         why = self._guard.why_stopped
@@ -227,16 +227,16 @@ class Desk:
 
 
 class GuidingDesk:
-    """A desk with its arm, which is connected, watched and guided for a while.
+    """A desk with its arm, which it connects, watches and guides.
 
     Parameters
     ----------
     arm
         The arm.
     home
-        Homes it.
+        Homes the arm.
     signals
-        That halt the arm; in the main thread only.
+        Signals that halt the arm; in the main thread only.
     """
 
     def __init__(
@@ -256,19 +256,19 @@ class GuidingDesk:
         post: Callable[[dict[str, Any]], None],
         on_record: RecordCallback | None = None,
     ) -> Iterator[Session]:
-        """Connect the arm and give the session that takes the steps of the views.
+        """Connect the arm and yield the session that processes the steps of the views.
 
         Parameters
         ----------
         post
-            Called with what the page shows of the arm, from a thread.
+            Called with the arm's state for the page, from a thread.
         on_record
             Called with every command of the guard.
 
         Raises
         ------
         RobotError
-            The arm's.
+            An error of the arm.
         """
         with self.arm.connected(on_record=on_record, signals=self._signals):
             session = self.arm.session(
@@ -291,7 +291,7 @@ class GuidingDesk:
             while not done.wait(WATCH_S):
                 try:
                     self.desk.tick(post)
-                except Exception as error:  # a watch that ended would watch nothing
+                except Exception as error:  # the watch must continue after any error
                     _log.exception("the desk's watch failed")
                     self.arm.guard.halt(f"the desk's watch failed: {error}")
 

@@ -1,4 +1,4 @@
-"""Recordings that are dropped onto the page: written to the folder in which a rig is set up."""
+"""Writes recordings that are dropped onto the page to the folder in which a rig is set up."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from fingerpost.live.hub import Hub
 from fingerpost.live.setup.offers import FILMS
 
 LARGEST_BYTES = 4 << 30
-"""Longest recording that is taken."""
+"""Longest recording that is accepted."""
 
 CONTENT_TYPE = "application/octet-stream"
-"""Forms of other sites cannot send it."""
+"""Content type that forms of other sites cannot send."""
 
 
 async def take(request: Request, hub: Hub) -> Response:
-    """Write what is sent to a file, and offer it as a view; refuse what is no recording."""
+    """Write an upload to a file and offer it as a view; refuse files that are not recordings."""
     folder = hub.drop_folder
     name = PurePosixPath(request.path_params["name"]).name
     if folder is None:
@@ -46,7 +46,7 @@ async def take(request: Request, hub: Hub) -> Response:
 
 
 async def _written(chunks: AsyncIterator[bytes], part: Path) -> bool:
-    """Write chunks to a file; return whether they are not too many."""
+    """Write chunks to a file; return whether they are within the size limit."""
     length = 0
     with part.open("wb") as file:
         async for chunk in chunks:
@@ -58,12 +58,12 @@ async def _written(chunks: AsyncIterator[bytes], part: Path) -> bool:
 
 
 def _kept(part: Path, path: Path) -> Path:
-    """Give what was written its name, or another one if that is another file's."""
+    """Rename the written file, with another name if its own is taken by another file."""
     number = 1
     free = path
     while free.exists():
         if filecmp.cmp(part, free, shallow=False):
-            return free  # it was dropped from this very folder, or a second time
+            return free  # it was dropped from this folder, or a second time
         number += 1
         free = path.with_stem(f"{path.stem}-{number}")
     part.replace(free)

@@ -1,4 +1,4 @@
-"""What all clients share: the rig, the newest moment, how a recording is played, who commands."""
+"""State shared by all clients: the rig, the newest moment, the player, and who has control."""
 
 from __future__ import annotations
 
@@ -36,36 +36,36 @@ if TYPE_CHECKING:
     from fingerpost.live.trials import OperatorExperiment
 
 MOST_CLIENTS = 12
-"""Pages that may be open at once."""
+"""Greatest number of open pages."""
 
 _STATE_S = 0.2
-_LIVE_STRIP = 3600  # moments of a live run that its strip shows: two minutes at 30 a second
+_LIVE_STRIP = 3600  # moments in the strip of a live run: two minutes at 30 a second
 _MOST_NOTES = 50
 
 
 class Watcher(Protocol):
-    """A client, as the hub knows it."""
+    """A client's interface to the hub."""
 
     def offer(self, message: bytes, begun_s: float | None) -> None:
-        """Take the newest moment; None where it is shown again."""
+        """Queue the newest moment; `begun_s` is None for one that is shown again."""
 
     def send_state(self) -> None:
-        """Send the state anew."""
+        """Send the state."""
 
 
 class Hub:
-    """Everything there is to be shown, and who is shown it; for one thread alone.
+    """The displayed state and the clients; for use in one thread only.
 
     Parameters
     ----------
     ask
-        Called with how many steps the loop may have made in all; infinity lets a live one go on.
+        Called with the total number of steps that the loop may make; infinity for a live one.
     hand
-        Called with what is asked for while a rig is set up.
+        Called with the commands while a rig is set up.
     guide
-        Called with what is asked of the arm, where there is one.
+        Called with the commands to the arm, if there is one.
     clock
-        Gives the time in seconds.
+        Returns the time [s].
     """
 
     def __init__(
@@ -94,11 +94,11 @@ class Hub:
         self._tasks: list[asyncio.Task[None]] = []
 
     def start(self) -> None:
-        """Begin to tell watchers of the state, in the running event loop."""
+        """Begin to send the state to clients regularly, in the running event loop."""
         self._tasks.append(asyncio.create_task(self._send_state_regularly()))
 
     def open_rig(self, rig: RigScene) -> None:
-        """Take a rig from which moments will come, in place of any before."""
+        """Set the rig of the following moments, in place of a previous one."""
         self.close_rig()
         self._end_experiment()
         self.rig, self.newest, self._shown, self._ended = rig, None, -1, ""
@@ -112,12 +112,12 @@ class Hub:
         self.send_state()
 
     def open_setup(self, state: dict[str, Any]) -> None:
-        """Show how far a rig is set up."""
+        """Show the state of a rig's set-up."""
         self._setup = state
         self.send_state()
 
     def show_still(self, place: int, jpeg: bytes) -> None:
-        """Take the newest picture of an offered source, by its place."""
+        """Show the newest picture of an offered source, by its index."""
         while len(self.stills) <= place:
             self.stills.append(b"")
             self._stills_shown.append(0)
@@ -126,22 +126,22 @@ class Hub:
 
     @property
     def drop_folder(self) -> Path | None:
-        """Where recordings that are dropped onto the page go; None while nothing is set up."""
+        """Folder for recordings that are dropped onto the page; None unless a rig is set up."""
         return None if self._setup is None else Path(self._setup["folder"])
 
     def dropped(self, path: Path) -> None:
-        """Take it that a recording has been dropped onto the page."""
+        """Report that a recording has been dropped onto the page."""
         self._hand(Dropped(path))
 
     def close_rig(self) -> None:
-        """Forget the rig's recording."""
+        """Discard the rig's stored moments."""
         if self._player is not None:
             self._tasks.pop().cancel()
             self._player.reel.close()
             self._player = None
 
     def arrived(self, message: Message) -> None:
-        """Take the next moment that the loop has made."""
+        """Add the next moment of the loop."""
         self.strip.append(message.codes)
         if self._player is not None:
             self._player.arrived(message)
@@ -152,41 +152,41 @@ class Hub:
         self._try_with(message.indicated)
 
     def show_arm(self, state: dict[str, Any]) -> None:
-        """Show what an arm does now, which the page may command from here on."""
+        """Show the state of an arm, which the page may command from now on."""
         self._arm = state
         self.send_state()
 
     def note(self, words: str) -> None:
-        """Show a line that people should know of."""
+        """Show a message to the user, one line."""
         self._notes = [*self._notes, words][-_MOST_NOTES:]
         self.send_state()
 
     def end(self, words: str) -> None:
-        """Take it that no more moments will come, and why."""
+        """Report the end of the moments, with the reason."""
         self._ended, self._arm = words, None
         if self._player is not None:
             self._player.end()
         self.send_state()
 
     def add(self, watcher: Watcher) -> None:
-        """Show everything to one more client."""
+        """Add a client."""
         self.watchers.add(watcher)
         if self.newest is not None:
             watcher.offer(self.newest, None)
         self.send_state()
 
     def remove(self, watcher: Watcher) -> None:
-        """Forget a client."""
+        """Remove a client."""
         self.watchers.discard(watcher)
         if self.controller is watcher:
             self._hand_over(None)
         self.send_state()
 
     def obey(self, command: Command, watcher: Watcher) -> str:
-        """Do what a client commands; return why not, or nothing.
+        """Execute a client's command; return the reason if it is refused, else an empty string.
 
-        Anybody may stop; all else is for one client at a time. Whoever commands while nobody does
-        takes the control.
+        Any client may stop. All other commands are reserved to the client in control; if there is
+        none, a command takes control.
         """
         refusal = ""
         if isinstance(command, Stop):
@@ -207,7 +207,7 @@ class Hub:
         return refusal
 
     def _hand_over(self, watcher: Watcher | None) -> None:
-        """Give the control to a client; an arm that another one had moves no further."""
+        """Give control to a client; an arm controlled by another one stops."""
         if self.controller not in (None, watcher) and self._arm is not None:
             self._guide(Gone())
         self.controller = watcher
@@ -228,21 +228,21 @@ class Hub:
                 self._guide(command)
 
     def _stop(self) -> None:
-        if self._arm is not None:  # it stops, and its operator goes on seeing it
+        if self._arm is not None:  # the arm stops, the display continues
             self._guide(Stop())
             return
         self._stopped = True
         self._player.stop() if self._player else self._ask(0.0)
 
     def state(self, watcher: Watcher, known: tuple[object, int]) -> dict[str, Any]:
-        """Return the state as a client gets it, fit for JSON, with what is new to it.
+        """Return the state for a client as JSON values, with the changes since its last one.
 
         Parameters
         ----------
         watcher
             The client.
         known
-            The strip that it has, and how far; with another one it gets the rig as well.
+            The client's strip and its length; if the strip has changed, the rig is sent as well.
         """
         strip, strip_from = known
         is_new = strip is not self.strip
@@ -266,7 +266,7 @@ class Hub:
         return state
 
     def send_state(self) -> None:
-        """Send every client the state."""
+        """Send the state to every client."""
         for watcher in self.watchers:
             watcher.send_state()
 
@@ -287,9 +287,9 @@ class Hub:
             self._experiment.take(indicated)
 
     def _experiment_with(self, what: Try) -> str:
-        """Do what an operator does in an experiment; return why not, or nothing."""
+        """Execute a command in an experiment; return the reason for a refusal, else ""."""
         if what is Try.START and self.rig is not None:
-            from fingerpost.live.trials import OperatorExperiment, new_table  # seldom wanted
+            from fingerpost.live.trials import OperatorExperiment, new_table  # rarely needed
 
             self._end_experiment()
             try:
@@ -298,7 +298,7 @@ class Hub:
                 )
             except InvalidInputError as error:
                 return str(error)
-            if self._player is not None and self._shown >= 0:  # one that stands shows no more
+            if self._player is not None and self._shown >= 0:  # a stopped one shows no more
                 self._try_with(self._player.reel.indicated(self._shown))
         elif self._experiment is None:
             return "no experiment has been started"

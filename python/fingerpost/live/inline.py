@@ -1,7 +1,8 @@
 """The operator's page inside a notebook: `fingerpost.show(rig)` as the last line of a cell.
 
-The same page, served by the same process, in a frame. A frame of another site is sent no strict
-cookies, so its address has the token in its path; the server lets such a page be framed.
+The same page is served by the same process, in a frame. Browsers send no strict cookies from a
+frame of another site, so its address has the token in its path; the server permits framing of such
+a page.
 """
 
 from __future__ import annotations
@@ -33,11 +34,11 @@ class InlineView:
     rig
         At least two views.
     title
-        What the page calls the rig.
+        Name of the rig on the page.
     operator
-        Whose habit of pointing is subtracted from the points.
+        Person whose habit of pointing is subtracted from the points.
     height_px
-        Of the frame, at least 200.
+        Height of the frame [px], at least 200.
 
     Raises
     ------
@@ -47,7 +48,7 @@ class InlineView:
     Attributes
     ----------
     address
-        What the frame shows; it opens in a browser as well.
+        Address of the frame's content; it can also be opened in a browser.
     """
 
     def __init__(
@@ -87,7 +88,7 @@ class InlineView:
         self.close()
 
     def _repr_html_(self) -> str:
-        """Return the frame, as notebooks show what a cell ends in."""
+        """Return the frame, as the representation of a cell's value."""
         address = html.escape(self.address, quote=True)
         return (
             f'<iframe src="{address}" title="fingerpost" width="100%" '
@@ -104,22 +105,22 @@ def show(
     Parameters
     ----------
     rig
-        A rig, or its file: its cameras are shown at their rate, recordings at their own pace.
+        A rig, or its file; cameras are shown at their rate, recordings at their own pace.
     operator
-        Whose habit of pointing is subtracted from the points.
+        Person whose habit of pointing is subtracted from the points.
     height_px
-        Of the frame [px], at least 200.
+        Height of the frame [px], at least 200.
 
     Returns
     -------
     InlineView
-        What a notebook shows as the value of a cell. `close` ends it, and so does the kernel's
-        end. The browser must run on the kernel's machine.
+        Displayed by a notebook as the value of a cell. `close` ends it, and so does the end of the
+        kernel. The browser must run on the kernel's machine.
 
     Raises
     ------
     InvalidInputError
-        The file is no rig.
+        Not a rig file.
     MissingExtraError
         The extra `page` is not installed: `pip install 'fingerpost[page]'`.
     """

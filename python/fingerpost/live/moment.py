@@ -1,7 +1,6 @@
-"""One moment of a run, as it goes from the main loop to the page: plain values and one JPEG a view.
+"""One moment of a run, sent from the main loop to the page: plain values and one JPEG per view.
 
-What is drawn over a picture and the picture itself travel together, so that they always belong to
-one instant.
+A picture and the scene drawn over it are sent together, so that they always belong to one instant.
 """
 
 from __future__ import annotations
@@ -16,39 +15,40 @@ from fingerpost.pointing import FingerLine, Fix, PlaneView
 from fingerpost.recording.picture import SearchMarks, status_of
 
 LARGEST_PX = 1280
-"""Pictures with a longer side are shown reduced: a page has no more room for one view."""
+"""Longest side of a picture that is shown at full size [px]: a page has no more room for a view."""
 
 _JPEG_QUALITY = 80
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ViewMoment:
-    """What one view saw.
+    """Result of one view.
 
     Attributes
     ----------
     name
-        The view's.
+        Name of the view.
     status
         As `recording.picture.status_of`, or "moved" while its camera is adrift.
     follows
-        Whether a template lies on something; else the hand is looked for everywhere.
+        Whether a tracker follows a finger; otherwise the whole image is searched.
     reasons
-        Why the frame went the way it did.
+        Explanation of the result.
     time_s
-        When the frame was captured; None without one.
+        Capture time of the frame; None without one.
     jpeg
-        The picture; empty where there is none.
+        The picture; empty without one.
     size_px
-        Width and height of the frame in whose pixels the rest is, which the picture shows whole.
+        Width and height of the frame to whose pixels all coordinates refer; the picture shows it
+        completely.
     contour_px : (N, 2)
         The template's outline.
     finger
         The finger line, or None.
     plane_view
-        How the view saw the plane.
+        Homography of the view.
     search
-        The last search for edges.
+        The last edge search.
     """
 
     name: str
@@ -65,7 +65,7 @@ class ViewMoment:
 
     @classmethod
     def of(cls, seen: Observation) -> ViewMoment:
-        """Return what a view saw, its picture encoded."""
+        """Return a view's result, with its picture encoded."""
         frame = seen.frame
         size_px = (0, 0) if frame is None else (frame.image.shape[1], frame.image.shape[0])
         return cls(
@@ -90,16 +90,16 @@ class Moment:
     Attributes
     ----------
     number
-        How many steps were before it.
+        Number of earlier steps.
     frame
         Index of the first view's frame in its source.
     views
-        In the rig's order.
+        Results of the views, in the rig's order.
     fix
-        Where the hand points.
-    begun_s, told_s
-        When the work on it began, and when its fix was reported, by the monotonic clock; a
-        camera's begins with the capture.
+        The fix.
+    begun_s, reported_s
+        Monotonic times at which processing began (for a camera, the capture) and at which the fix
+        was reported.
     """
 
     number: int
@@ -107,13 +107,13 @@ class Moment:
     views: tuple[ViewMoment, ...]
     fix: Fix
     begun_s: float
-    told_s: float
+    reported_s: float
 
     @classmethod
-    def of(cls, step: Step, number: int, begun_s: float, told_s: float) -> Moment:
+    def of(cls, step: Step, number: int, begun_s: float, reported_s: float) -> Moment:
         """Return the moment of a step, with its pictures encoded."""
         views = tuple(map(ViewMoment.of, step.observations))
-        return cls(number, step.index, views, step.fix, begun_s, told_s)
+        return cls(number, step.index, views, step.fix, begun_s, reported_s)
 
 
 def encoded(image: NDArray[np.uint8]) -> bytes:

@@ -1,4 +1,4 @@
-"""The main loop with the operator's page beside it."""
+"""Runs the main loop with the operator's page."""
 
 from __future__ import annotations
 
@@ -32,27 +32,27 @@ Frames = Iterator[Sequence[Frame | Loss | None]]
 
 
 class Outputs(Protocol):
-    """Publishes and records what the page shows; `fingerpost.cli.session_outputs` has them."""
+    """Publishes and records a run; implemented by `fingerpost.cli.session_outputs`."""
 
     def opened(
         self, rig: Rig, sources: Sequence[Source], *, is_live: bool, arm: GuidedArm | None = None
     ) -> AbstractContextManager[None]:
-        """Begin, with a rig's views open and the arm that the page guides; go on as a block does.
+        """Open the outputs for the duration of the block, for open views and the guided arm.
 
-        `is_live` says whether times are the machine's clock's.
+        `is_live` states whether times are on the machine's clock.
         """
 
     def watch(self, frames: Frames) -> Frames:
         """Pass on the frames of all views."""
 
     def take(self, step: Step) -> None:
-        """Take what was made of frames."""
+        """Record or publish a step."""
 
     def on_record(self, record: CommandRecord) -> None:
-        """Take a command to the arm."""
+        """Record a command to the arm."""
 
     def notes(self) -> list[str]:
-        """Return what is to be said in the end, for people."""
+        """Return remarks for the user at the end."""
 
 
 def operate(
@@ -72,13 +72,13 @@ def operate(
     rig
         At least two views.
     title
-        What the page calls the rig.
+        Name of the rig on the page.
     operator
-        Whose habit of pointing is subtracted from the points.
+        Person whose habit of pointing is subtracted from the points.
     outputs
         Publish and record the run.
     desk
-        Of an arm that the page guides; recordings are then played as if live.
+        Desk of an arm that the page guides; recordings are then played as if live.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def operate(
     CaptureError
         As `pipeline.track`.
     RobotError
-        The arm's; it has been stopped.
+        An error of the arm, which has been stopped.
     """
     moving = tuple[Capsule, ...] if desk is None else desk.arm.guard.body
     with _noting(page):
@@ -137,14 +137,14 @@ def operate(
 def _guided(
     page: Page, taken: Iterator[Step], desk: GuidingDesk, on_record: RecordCallback | None
 ) -> Iterator[Iterator[Step]]:
-    """Have the steps guide an arm before they are shown."""
+    """Guide an arm by the steps before they are shown."""
     with desk.guiding(page.show_arm, on_record) as session, page.guiding(desk.desk.obey):
         yield guided(session, taken)
 
 
 @contextmanager
 def _noting(page: Page) -> Iterator[None]:
-    """Show on the page what is logged as a warning."""
+    """Show logged warnings on the page."""
     handler = _Notes(page)
     logging.getLogger("fingerpost").addHandler(handler)
     try:
@@ -154,12 +154,12 @@ def _noting(page: Page) -> Iterator[None]:
 
 
 class _Notes(logging.Handler):
-    """Hands warnings to the page."""
+    """Passes warnings to the page."""
 
     def __init__(self, page: Page) -> None:
         super().__init__(logging.WARNING)
         self._page = page
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Show a warning's words."""
+        """Show the text of a warning."""
         self._page.note(record.getMessage())

@@ -1,9 +1,9 @@
-"""The operator's page as the main loop has it: something to show steps to, and to be allowed by.
+"""The main loop's interface to the operator's page: shows steps, and limits the loop's progress.
 
-The page is served by a process of its own (`fingerpost.live.process`), so that neither clients nor
-what is sent to them ever hold the interpreter that tracks. Pictures are encoded in a thread of low
-priority, by code that holds it neither. Of cameras the newest step wins; of recordings none is
-left out, and the loop goes as far as the page asks for.
+A separate process (`fingerpost.live.process`) serves the page, so that neither clients nor
+transmissions hold the interpreter lock of the tracker. Pictures are encoded in a thread of low
+priority, by code that releases the lock. With cameras, older steps are dropped for the newest; with
+recordings none is dropped, and the loop runs as far as the page requests.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 Frames = TypeVar("Frames")
 
 WINDOW = 2
-"""Moments that the page's process may have before it is done with the first of them."""
+"""Greatest number of moments that the page's process has not finished."""
 
 _EXTRA = "page"
 _MODULES = ("starlette", "uvicorn", "websockets")
@@ -46,28 +46,28 @@ _TOKEN_BYTES = 24
 
 
 class Page:
-    """Serves the operator's page while a context lasts.
+    """Serves the operator's page for the duration of a context.
 
     Parameters
     ----------
     host
         Address of this machine at which the page is served.
     port
-        0 takes any that is free.
+        Port; 0 chooses a free one.
 
     Raises
     ------
     InvalidInputError
-        The address cannot be served at.
+        The address cannot be used.
     MissingExtraError
         The extra `page` is not installed.
 
     Attributes
     ----------
     address
-        What a browser opens; it holds the token without which nothing is shown.
+        Address to open in a browser; it contains the required token.
     framed_address
-        The same for a frame in a page of another site, such as a notebook.
+        Address for a frame in a page of another site, such as a notebook.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -139,17 +139,17 @@ class Page:
         self.close()
 
     def show_setup(self, state: dict[str, Any]) -> None:
-        """Show how far a rig is set up; what the page makes of it is up to the page."""
+        """Show the state of a rig's set-up."""
         self._post("setup", state)
 
     def show_still(self, place: int, jpeg: bytes) -> None:
-        """Show a picture of an offered source, by its place."""
+        """Show a picture of an offered source, by its index."""
         self._post("still", (place, jpeg))
 
     def asked(self) -> SetUpCommand | Dropped:
-        """Wait for what the page asks for while a rig is set up.
+        """Wait for a command of the page while a rig is set up.
 
-        Of several arrangements in a row the last one counts, if it asks for as much.
+        Of several consecutive arrangements only the last one counts, if it requests as much.
 
         Raises
         ------
@@ -170,11 +170,11 @@ class Page:
             return asked
 
     def is_asked(self) -> bool:
-        """Tell whether the page has asked for something; true once its process has ended."""
+        """Return whether a command of the page is waiting; true once its process has ended."""
         return self._lost or bool(self._asked)
 
     def open_rig(self, scene: RigScene) -> None:
-        """Show a rig, from whose views steps will come."""
+        """Show a rig, to which the following steps belong."""
         with self._changed:
             self._is_live = scene.is_live
             self._allowed = 0.0
@@ -182,7 +182,7 @@ class Page:
         self._post("rig", scene)
 
     def allowed(self, frames: Iterator[Frames]) -> Iterator[Frames]:
-        """Give frames of all views as long as the page lets the loop go on.
+        """Yield frames of all views for as long as the page permits.
 
         Raises
         ------
@@ -201,45 +201,44 @@ class Page:
             yield together
 
     def show(self, step: Step, *, begun_s: float | None = None) -> None:
-        """Show a step: at once or, of a recording, when the ones before are on their way.
+        """Show a step; for a recording, wait until the previous ones have been sent.
 
         Parameters
         ----------
         step
             The step.
         begun_s
-            When the work on it began, by the monotonic clock; by default a camera's begins with
-            the capture.
+            Monotonic time at which processing began; by default, for a camera, the capture time.
 
         Raises
         ------
         FingerpostError
             The page's process has ended.
         """
-        told_s = time.monotonic()
+        reported_s = time.monotonic()
         if begun_s is None:
             begun_s = step.fix.time_s if self._is_live else self._begun_s
         with self._changed:
             if not self._is_live:
                 self._changed.wait_for(lambda: self._lost or self._next is None)
-            self._next = step, self._number, begun_s, told_s
+            self._next = step, self._number, begun_s, reported_s
             self._number += 1
             self._changed.notify_all()
         self._refuse_lost()
 
     def show_arm(self, state: dict[str, Any]) -> None:
-        """Show what an arm does now, from any thread."""
+        """Show the state of an arm, from any thread."""
         self._post("arm", state)
 
     @contextmanager
     def guiding(self, guide: Callable[[RobotCommand], None]) -> Iterator[None]:
-        """Hand what the page asks of an arm on, as long as the block lasts.
+        """Pass on the page's commands to an arm, for the duration of the block.
 
         Parameters
         ----------
         guide
-            Called with each command, at once, from a thread; with `Gone` as well when the page's
-            process has ended. Must not wait.
+            Called with each command at once, from a thread, and with `Gone` when the page's process
+            has ended. Must not wait.
         """
         self._guide = guide
         try:
@@ -248,11 +247,11 @@ class Page:
             self._guide = lambda _command: None
 
     def note(self, words: str) -> None:
-        """Show a line that people should know of."""
+        """Show a message to the user, one line."""
         self._post("note", words)
 
     def end(self, words: str) -> None:
-        """Say that no step will come any more, and why."""
+        """Report the end of the steps, with the reason."""
         with self._changed:
             self._changed.wait_for(
                 lambda: self._lost or (self._next is None and self._unanswered == 0)
@@ -293,11 +292,11 @@ class Page:
             raise FingerpostError("the page's process has ended; start the command again")
 
     def _post(self, kind: str, content: Any) -> None:
-        with suppress(OSError), self._lock:  # a process that is gone is noticed by who listens
+        with suppress(OSError), self._lock:  # the end of the process is detected by the listener
             self._pipe.send((kind, content))
 
     def _send_moments(self) -> None:
-        """Encode and send what is to be shown: the life of a thread."""
+        """Encode and send moments: the body of a thread."""
         _yield_to_others()
         while True:
             with self._changed:
@@ -312,7 +311,7 @@ class Page:
             self._post("moment", Moment.of(*taken))
 
     def _listen(self) -> None:
-        """Hear what the page answers and asks: the life of a thread."""
+        """Receive the page's answers and commands: the body of a thread."""
         with suppress(EOFError, OSError):
             while True:
                 kind, content = self._pipe.recv()
@@ -333,7 +332,7 @@ class Page:
             self._changed.notify_all()
 
     def _hand_on(self, command: RobotCommand) -> None:
-        """Hand a command on; whatever comes of it, the next one may be a stop."""
+        """Pass on a command; after any error the next one, which may be a stop, must work."""
         try:
             self._guide(command)
         except Exception:
@@ -341,7 +340,7 @@ class Page:
 
 
 def _yield_to_others() -> None:
-    """Lower the priority of this thread, where the system knows threads of different ones."""
+    """Lower the priority of this thread, if the system supports priorities of threads."""
     if hasattr(os, "setpriority") and hasattr(threading, "get_native_id"):
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)

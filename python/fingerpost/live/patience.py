@@ -1,4 +1,4 @@
-"""Connections that are not waited for: too many at once, and those that never finish to ask."""
+"""Limits of connections: their number, and the time for a request."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 ASKING_S = 3.0
-"""How long a connection may take to ask for something."""
+"""Time limit for a request [s]."""
 
 MOST_CONNECTIONS = 64
-"""Connections that may be open at once; beside them a page that is open goes on."""
+"""Greatest number of open connections; more are refused, without effect on open pages."""
 
 
 class ImpatientProtocol(H11Protocol):
-    """HTTP that closes what has not asked for anything in time, and what comes too many at once."""
+    """HTTP with a limit on the number of connections, and on the time for a request."""
 
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: Any) -> None:
-        """Give a new connection its time, or refuse it."""
+        """Start the timer of a new connection, or refuse it."""
         super().connection_made(transport)
         if len(self.connections) > MOST_CONNECTIONS:
             self._refuse(503, f"{MOST_CONNECTIONS} connections are open already")
@@ -34,7 +34,7 @@ class ImpatientProtocol(H11Protocol):
         super().connection_lost(exc)
 
     def handle_events(self) -> None:
-        """Handle what has come; a whole request ends the wait, and its answer begins it anew."""
+        """Handle received data; a complete request stops the timer, its answer restarts it."""
         super().handle_events()
         if self.conn.their_state is not h11.IDLE:
             self._asked()

@@ -1,7 +1,7 @@
-"""Plays a recording at its own pace: goes on, stops, steps and jumps, and asks for what it needs.
+"""Plays a recording at its own pace: plays, stops, steps and jumps, and requests steps in time.
 
-The loop tracks as far as the player asks; what it has tracked is kept, so that to go back needs no
-tracking, and to go forward past its end runs there as fast as it can.
+The loop tracks as far as the player requests. Its results are kept, so that going back needs no
+tracking, while going forward past their end tracks as fast as possible.
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ from collections.abc import Callable
 from fingerpost.live.reel import Message, Reel
 
 _AHEAD = 3
-"""Steps that are tracked before they are due, so that tracking does not make them late."""
+"""Steps that are tracked in advance, so that tracking does not delay them."""
 
 _LATE_S = 0.25
-"""A pace that falls further behind begins anew, rather than hurry after it."""
+"""Delay beyond which the pace restarts instead of catching up [s]."""
 
 
 class Player:
-    """What of a recording is shown, and when.
+    """Decides which moment of a recording is shown, and when.
 
     Parameters
     ----------
     ask
-        Called with how many steps the loop may have made in all.
+        Called with the total number of steps that the loop may make.
     show
         Called with the number of the moment to show, and its data.
     frames
-        How many frames the recording should have; None if nobody knows.
+        Expected number of frames of the recording; None if unknown.
     clock
-        Gives the time in seconds.
+        Returns the time [s].
     """
 
     def __init__(
@@ -55,37 +55,37 @@ class Player:
 
     @property
     def total(self) -> int:
-        """How many moments there are, or should be."""
+        """Number of moments, actual or expected."""
         known = len(self.reel)
         return known if self.has_ended else max(known, self._frames or 0)
 
     def arrived(self, message: Message) -> None:
-        """Take the next moment that the loop has made."""
+        """Add the next moment of the loop."""
         self.reel.append(message)
         if message.number <= self._goal:
             self._show_now(message.number)
         self._changed.set()
 
     def end(self) -> None:
-        """Take it that no more will come."""
+        """Mark the end of the moments."""
         self.has_ended = True
         self._changed.set()
 
     def stop(self) -> None:
-        """Stand still where it is."""
+        """Stop at the present moment."""
         self.is_playing = False
         self._goal = min(self._goal, self.shown)
         self._change()
 
     def play(self) -> None:
-        """Go on; at the end, from the beginning."""
+        """Continue; at the end, restart from the beginning."""
         if self.has_ended and self.shown >= len(self.reel) - 1:
             self.shown = -1
         self.is_playing = True
         self._change()
 
     def go_to(self, number: int) -> None:
-        """Show a moment, or run there."""
+        """Show a moment; track up to it if necessary."""
         last = max(self.total - 1, 0) if self._frames or self.has_ended else number
         self._goal = min(max(number, 0), last)
         if self._goal < len(self.reel):
@@ -93,7 +93,7 @@ class Player:
         self._change()
 
     def step(self, by: int) -> None:
-        """Stand still, so many moments further."""
+        """Move by a number of moments, and stop there."""
         self.is_playing = False
         self.go_to(self.shown + by)
 
@@ -121,7 +121,7 @@ class Player:
         early_s = self._early_s(self.reel.time_s(following))
         if early_s > 0.0:
             try:
-                # What arrives meanwhile changes nothing; a command begins the pace anew.
+                # Arriving moments change nothing; a command restarts the pace.
                 await asyncio.wait_for(self._changed.wait(), early_s)
                 return
             except TimeoutError:
@@ -130,7 +130,7 @@ class Player:
         await asyncio.sleep(0)
 
     def _early_s(self, time_s: float) -> float:
-        """How long a moment is to be waited for."""
+        """Return the time until a moment is due [s]."""
         now_s = self._clock()
         if self._pace is not None:
             begun_s, first_s = self._pace

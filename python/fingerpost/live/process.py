@@ -1,6 +1,6 @@
-"""The page's process: takes moments from a pipe, serves them, and hands commands back.
+"""The page's process: receives moments from a pipe, serves them, and returns commands.
 
-It ends with the program: when that closes its end of the pipe, or is gone.
+It ends with the program, which closes its end of the pipe.
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ _END_S = 2
 
 
 def serve(pipe: Connection, host: str, port: int, token: str) -> None:
-    """Serve the page until the program ends: the life of a process.
+    """Serve the page until the program ends: the body of the process.
 
     Parameters
     ----------
     pipe
-        Pairs of a kind and its content: "setup", "still", "rig", "moment", "arm", "note", "ended"
-        and "close" come in; "listening" or "refused", "done", "allow", "setup" and "arm" go out.
+        Carries pairs of kind and content. Received: "setup", "still", "rig", "moment", "arm",
+        "note", "ended" and "close"; sent: "listening" or "refused", "done", "allow", "setup" and
+        "arm".
     host, port
-        Where; port 0 takes any that is free.
+        Address; port 0 chooses a free one.
     token
-        Without which nothing is shown.
+        Required to open the page.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where it cannot be blocked
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
@@ -62,7 +63,7 @@ async def _serve(pipe: Connection, listening: socket.socket, host: str, token: s
         http=ImpatientProtocol,
         ws="websockets-sansio",
         ws_max_size=LARGEST_BYTES,
-        ws_per_message_deflate=False,  # pictures do not get smaller
+        ws_per_message_deflate=False,  # pictures are already compressed
         lifespan="off",
         log_config=None,
         access_log=False,
@@ -80,7 +81,7 @@ async def _serve(pipe: Connection, listening: socket.socket, host: str, token: s
 
 
 def _read(pipe: Connection, hub: Any, loop: asyncio.AbstractEventLoop, server: Any) -> None:
-    """Take the program's messages, and hand it to the event loop: the life of a thread."""
+    """Pass the program's messages to the event loop: the body of a thread."""
     from fingerpost.live.composer import Composer
 
     composer: Composer | None = None
@@ -112,5 +113,5 @@ _sending = threading.Lock()
 
 
 def _send(pipe: Connection, kind: str, content: Any) -> None:
-    with suppress(OSError), _sending:  # the program may be gone
+    with suppress(OSError), _sending:  # the program may have ended
         pipe.send((kind, content))

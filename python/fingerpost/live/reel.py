@@ -1,8 +1,8 @@
-"""Everything that was shown of a recording, to be shown again: as it was, from any place on.
+"""Stores all displayed moments of a recording, for display from any position.
 
-Trackers go forward only. What they made of a frame is kept with its picture, in a file that nobody
-else sees and that ends with the process, so that to go back in a recording shows what was seen
-then.
+Trackers only run forwards. Their result for each frame is stored with the picture in a temporary
+file, which is deleted with the process, so that going back in a recording shows the original
+result.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from fingerpost.pointing import Fix, Status
 
 @dataclass(frozen=True, slots=True)
 class Indicated:
-    """Where the hand points, in few bytes: a long recording has many.
+    """Compact form of a fix, because a long recording has many.
 
     Attributes
     ----------
     frame
         Index of the first view's frame.
     time_s, status
-        Of the fix.
+        Time and status of the fix.
     point
         The point (x, y) [plane units]; None without one.
     covariance
@@ -38,7 +38,7 @@ class Indicated:
 
     @classmethod
     def of(cls, frame: int, fix: Fix) -> Indicated:
-        """Return where a fix points."""
+        """Return the compact form of a fix."""
         if fix.point is None or fix.covariance is None:
             return cls(frame, fix.time_s, fix.status)
         (x, y), ((xx, xy), (_, yy)) = fix.point.tolist(), fix.covariance.tolist()
@@ -47,22 +47,22 @@ class Indicated:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A moment as it goes to the page.
+    """An encoded moment.
 
     Attributes
     ----------
     number
-        Of the moment.
+        Number of the moment.
     time_s
-        Of its fix.
+        Time of its fix.
     begun_s
-        When the work on it began, by the monotonic clock.
+        Monotonic time at which processing began.
     codes
         A letter for the status of the fix and of each view, and a digit: see `Strip`.
     data
-        What is sent: the length of the scene, the scene as JSON, and the pictures.
+        Bytes to send: the length of the scene, the scene as JSON, and the pictures.
     indicated
-        Where the hand points.
+        The fix in compact form.
     """
 
     number: int
@@ -74,7 +74,7 @@ class Message:
 
 
 class Reel:
-    """Messages on disk, by their numbers from 0."""
+    """Messages on disk, numbered from 0."""
 
     def __init__(self) -> None:
         self._file: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the reel
@@ -87,7 +87,7 @@ class Reel:
         return len(self._places)
 
     def append(self, message: Message) -> None:
-        """Keep the next message."""
+        """Store the next message."""
         self._file.seek(self._end)
         self._file.write(message.data)
         self._places.append((self._end, len(message.data)))
@@ -96,21 +96,21 @@ class Reel:
         self._end += len(message.data)
 
     def time_s(self, number: int) -> float:
-        """Give the time of a message's fix."""
+        """Return the time of a message's fix."""
         return self._times_s[number]
 
     def indicated(self, number: int) -> Indicated | None:
-        """Give where the hand points in a message."""
+        """Return the fix of a message in compact form."""
         return self._indicated[number]
 
     def data(self, number: int) -> bytes:
-        """Give what is sent of a message."""
+        """Return the bytes to send of a message."""
         begin, length = self._places[number]
         self._file.seek(begin)
         return self._file.read(length)
 
     def close(self) -> None:
-        """Forget everything."""
+        """Delete all messages."""
         self._file.close()
 
 
@@ -124,9 +124,9 @@ class Strip:
     Attributes
     ----------
     longest
-        How many moments are kept; None keeps all.
+        Number of moments that are kept; None keeps all.
     first
-        Number of the first one that is kept.
+        Number of the first moment that is kept.
     codes
         The letters of each moment.
     """
@@ -138,7 +138,7 @@ class Strip:
     def append(self, codes: str) -> None:
         """Add a moment's letters."""
         self.codes.append(codes)
-        # By the half, so that it is seldom copied.
+        # Half of them at a time, so that it is rarely copied.
         if self.longest is not None and len(self.codes) >= 2 * self.longest:
             gone = len(self.codes) - self.longest
             del self.codes[:gone]
@@ -150,7 +150,7 @@ class Strip:
         return self.first + len(self.codes)
 
     def since(self, number: int) -> dict[str, object]:
-        """Return the moments from a number on, fit for JSON: a string a row."""
+        """Return the moments from a number on as JSON values: one string per row."""
         begin = max(number, self.first, self.end - (self.longest or self.end))
         codes = self.codes[begin - self.first :]
         return {"from": begin, "rows": ["".join(row) for row in zip(*codes, strict=True)]}

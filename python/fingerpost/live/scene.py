@@ -1,7 +1,7 @@
-"""What the page draws: of a rig once, and of every moment; all coordinates, no pixels.
+"""Scenes that the page draws, of a rig and of every moment: coordinates, not pixels.
 
-The page does no geometry but scale and shift. Numbers are rounded to what a screen can show; a
-shape is a list of polylines, each a flat list x, y, x, y, ...
+The page only scales and shifts them. Numbers are rounded to the resolution of a screen; a shape is
+a list of polylines, each a flat list x, y, x, y, ...
 """
 
 from __future__ import annotations
@@ -30,49 +30,49 @@ from fingerpost.recording.picture.shapes import (
 from fingerpost.targets import Target
 
 CONFIDENCE = 0.95
-"""Probability with which the ellipse holds the indicated point."""
+"""Probability that the ellipse contains the indicated point."""
 
 Points = NDArray[np.float64]
 Polylines = list[list[float]]
 
 _PX_DIGITS = 1
-# Decimals of plane units beyond those of the numbers that are shown.
+# Decimals of coordinates beyond those of displayed numbers.
 _FINER = 2
-# How far the plan's lines go, in extents of the reference points beyond them.
+# Extension of the plan's lines beyond the reference points, in extents of the latter.
 _REACH = 4.0
-# A picture whose plan gives the plane's orientation; its size does not matter.
+# Size of a picture whose plan gives the plane's orientation; any size will do.
 _ANY_SIZE_PX = (600, 600)
 _FARTHEST_PX = 1e6
 
 
 @dataclass(frozen=True, slots=True)
 class RigScene:
-    """What is known of a rig before its first frame.
+    """Scene of a rig, known before its first frame.
 
     Attributes
     ----------
     title
-        What the page calls the rig.
+        Name of the rig on the page.
     unit
-        Of the plane.
+        Unit of the plane.
     plane_points : (N, 2)
         The reference points.
     hull
-        Indices of those around all others, in order.
+        Indices of their convex hull, in order.
     plan_from_plane : (2, 2)
-        Turns and mirrors the plane as the views see it: entries −1, 0 or 1, y down.
+        Rotates and mirrors the plane to the views' orientation: entries −1, 0 or 1, y down.
     plane_size
         Side of the working plane, as `PlaneView.plane_size`.
     digits
-        Decimals of the numbers that are shown.
+        Decimals of displayed numbers.
     targets
-        The things on the plane to point at.
+        The targets on the plane.
     views
-        Names, in the rig's order.
+        Names of the views, in the rig's order.
     is_live
         Whether cameras set the pace.
     frames
-        How many a recording should have; None if nobody knows.
+        Expected number of frames of a recording; None if unknown.
     """
 
     title: str
@@ -99,7 +99,7 @@ class RigScene:
         is_live: bool,
         frames: int | None,
     ) -> RigScene:
-        """Return the scene of a rig whose views see the plane as given."""
+        """Return the scene of a rig whose views have the given homographies."""
         first = plane_views[0]
         turn = Plan.of(first, _ANY_SIZE_PX).window_from_plane[:, :2]
         return cls(
@@ -117,7 +117,7 @@ class RigScene:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it fit for JSON."""
+        """Return it as JSON values."""
         return {
             "title": self.title,
             "unit": self.unit,
@@ -141,7 +141,7 @@ class RigScene:
 
 
 def scene_of(moment: Moment, rig: RigScene, trail: Iterable[Sequence[float]]) -> dict[str, Any]:
-    """Return everything that is drawn and said of a moment, fit for JSON.
+    """Return all shapes and texts of a moment, as JSON values.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def scene_of(moment: Moment, rig: RigScene, trail: Iterable[Sequence[float]]) ->
     rig
         Its rig.
     trail
-        Points indicated before, oldest first [plane units].
+        Earlier indicated points, oldest first [plane units].
     """
     fix, digits = moment.fix, rig.digits + _FINER
     ellipse = fix.ellipse(CONFIDENCE)
@@ -168,7 +168,7 @@ def scene_of(moment: Moment, rig: RigScene, trail: Iterable[Sequence[float]]) ->
         "number": moment.number,
         "frame": moment.frame,
         "time": round(fix.time_s, 4),
-        "work": round(1e3 * (moment.told_s - moment.begun_s), 2),
+        "work": round(1e3 * (moment.reported_s - moment.begun_s), 2),
         "head": headline(moment, rig.digits).as_dict(),
         "plan": plan,
         "views": [_view(view, k, fix) for k, view in enumerate(moment.views)],
@@ -177,7 +177,7 @@ def scene_of(moment: Moment, rig: RigScene, trail: Iterable[Sequence[float]]) ->
 
 
 def _view(view: ViewMoment, index: int, fix: Fix) -> dict[str, Any]:
-    """Return what is drawn over a view's picture and said below it."""
+    """Return the shapes drawn over a view's picture, and the texts below it."""
     said: dict[str, Any] = {
         "status": view.status,
         "reasons": list(view.reasons[:2]),
@@ -198,7 +198,7 @@ def _view(view: ViewMoment, index: int, fix: Fix) -> dict[str, Any]:
 
 
 def _add_plane(said: dict[str, Any], plane_view: PlaneView, index: int, fix: Fix) -> None:
-    """Project results on the plane back into a view."""
+    """Project results on the plane into a view."""
     points = plane_view.plane_points
     said["outline"] = _polylines(plane_view.project(outline(points)))
     said["references"] = [_place(place) for place in plane_view.project(points)]
@@ -237,7 +237,7 @@ def _band(line: ConstraintLine | None, plane_points: Points, digits: int) -> dic
 
 
 def _search(search: SearchMarks) -> dict[str, Any]:
-    """Return the search lines, and the edges that were chosen and those that were rejected."""
+    """Return the search lines, and the chosen and rejected edges."""
     found = np.isfinite(search.edges_px).all(axis=1)
     return {
         "lines": _flat(search.lines_px, _PX_DIGITS),
@@ -247,7 +247,7 @@ def _search(search: SearchMarks) -> dict[str, Any]:
 
 
 def _polylines(points: Points) -> Polylines:
-    """Return a line in pixels as those parts of it that can be drawn."""
+    """Return the parts of a line in pixels that can be drawn."""
     drawn = (np.abs(points) < _FARTHEST_PX).all(axis=1)  # false for NaN
     breaks = np.flatnonzero(np.diff(drawn)) + 1
     parts = zip(np.split(points, breaks), np.split(drawn, breaks), strict=True)
@@ -260,7 +260,7 @@ def _flat(points: Points, digits: int) -> list[float]:
 
 
 def _place(point: Points) -> list[float] | None:
-    """Return a point in pixels; None where it cannot be drawn."""
+    """Return a point in pixels; None if it cannot be drawn."""
     if not (np.abs(point) < _FARTHEST_PX).all():
         return None
     return _flat(point, _PX_DIGITS)

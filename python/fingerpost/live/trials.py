@@ -1,7 +1,7 @@
-"""An experiment with an operator: targets in random order, and where he points when he selects.
+"""An experiment with an operator, who points at targets in random order and selects each.
 
-The error is tallied as in section 3.3 of the paper, by the statistics of `fingerpost.experiment`: a
-target beside the indicated point and the covariance that its fix states.
+The errors are evaluated as in section 3.3 of the paper, by the statistics of
+`fingerpost.experiment`: the target is compared with the indicated point and its covariance.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from fingerpost.recording.tables import TableWriter, TargetRow, write_targets
 from fingerpost.uncertainty import confidence_ellipse
 
 DWELL_S = 1.5
-"""How long a hand stays to select [s]."""
+"""Dwell time to select [s]."""
 
 RADIUS_SHARE = 0.04
-"""It stays within this share of the plane's size of where it began to."""
+"""Radius within which the point must stay while dwelling, relative to the plane's size."""
 
 BORDER_SHARE = 0.12
-"""Targets are off the border of the reference points by this share of their extent."""
+"""Distance of targets from the border of the reference points, relative to their extent."""
 
 TABLE = "experiment.csv"
 
 _GRID = (4, 3)
-_FEWEST = 4  # of the rig's own targets, below which a grid is pointed at
-_SIDES = 24  # of an ellipse as it is drawn
+_FEWEST = 4  # of the rig's own targets, below which a grid is used
+_SIDES = 24  # of the polygon by which an ellipse is drawn
 _DIGITS = 5
 
 Points = NDArray[np.float64]
 
 
 class Selected(StrEnum):
-    """What has ended a target."""
+    """Means by which the trial of a target ended."""
 
     DWELL = "dwell"
     KEY = "key"
@@ -57,11 +57,11 @@ class OperatorExperiment:
     Parameters
     ----------
     rig
-        What is pointed at: its targets if there are four or more, else a grid.
+        The rig: its targets are used if there are four or more, else a grid.
     path
-        The table that is written; a file of that name is replaced.
+        The table to write; an existing file is replaced.
     rng
-        Of the order.
+        Random numbers of the order.
 
     Raises
     ------
@@ -88,7 +88,7 @@ class OperatorExperiment:
 
     @property
     def trials(self) -> tuple[Trial, ...]:
-        """The targets that are done, in their order."""
+        """The completed targets, in order."""
         return tuple(self._trials)
 
     @property
@@ -97,7 +97,7 @@ class OperatorExperiment:
         return None if self._ended or done >= len(self._targets) else self._targets[done]
 
     def take(self, indicated: Indicated) -> None:
-        """Take where the hand points now; staying there selects."""
+        """Process a fix; dwelling selects."""
         self._newest = indicated
         point, now_s = indicated.point, indicated.time_s
         if self._current is None:
@@ -107,7 +107,7 @@ class OperatorExperiment:
             self._stay = None
             return
         if self._left is not None and math.dist(point, self._left) <= radius:
-            return  # still where it has selected before
+            return  # still at the previously selected place
         self._left = None
         if self._stay is None or math.dist(point, self._stay[0]) > radius:
             self._stay = point, now_s
@@ -115,19 +115,19 @@ class OperatorExperiment:
             self._add(indicated, Selected.DWELL)
 
     def select(self) -> str:
-        """Select what is pointed at; return why not, or nothing."""
+        """Select the indicated point; return the reason if refused, else an empty string."""
         if self._newest is None or self._newest.point is None:
             return "nothing is pointed at: there is no point now"
         self._add(self._newest, Selected.KEY)
         return ""
 
     def skip(self) -> None:
-        """Give the target up; it counts as one without a point."""
+        """Skip the target; it counts as one without a point."""
         if self._newest is not None:
             self._add(self._newest, Selected.SKIP)
 
     def end(self) -> None:
-        """End it here; what is done is kept."""
+        """End the experiment; completed targets are kept."""
         if self._ended:
             return
         self._ended = True
@@ -138,7 +138,7 @@ class OperatorExperiment:
             self._lines = table_lines(summary, rig.unit, rig.plane_size)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what the page shows, fit for JSON."""
+        """Return the state for the page, as JSON values."""
         current = self._current
         return {
             "total": len(self._targets),
@@ -178,7 +178,7 @@ class OperatorExperiment:
             self.end()
 
     def _scene(self, trial: Trial) -> dict[str, Any]:
-        """Return a target that is done as the plan draws it."""
+        """Return a completed target as the plan draws it."""
         scene: dict[str, Any] = {"target": trial.target.tolist()}
         if trial.point is not None and trial.covariance is not None:
             ellipse = confidence_ellipse(trial.point, trial.covariance, CONFIDENCE)
@@ -190,12 +190,12 @@ class OperatorExperiment:
 
 
 def new_table(folder: Path) -> Path:
-    """Return a name for an experiment's table that nothing in a folder has yet."""
+    """Return an unused name in a folder for an experiment's table."""
     return unused(folder / TABLE)
 
 
 def targets_of(rig: RigScene) -> Points:
-    """Return where an experiment's targets (N, 2) are, in the plane's order."""
+    """Return the positions (N, 2) of an experiment's targets, in the plane's order."""
     own = [target.corners.mean(axis=0) for target in rig.targets if not target.rest]
     if len(own) >= _FEWEST:
         return np.array(own)

@@ -1,4 +1,4 @@
-"""The web application: the page's files and one WebSocket, for those who may."""
+"""The web application: the page's files and one WebSocket, with access control."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SITE = Path(__file__).with_name("site")
 """The page's files."""
 
 _PAGES = {"/": "index.html", "/plan": "plan.html"}
-"""What is opened by its address, with the token in it where there is no cookie yet."""
+"""Pages by path; the first request has the token in its address, later ones in a cookie."""
 
 _CONTENT = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
@@ -47,7 +47,7 @@ _FRAMED_HEADERS = {
     "content-security-policy": _CONTENT.replace("; frame-ancestors 'none'", ""),
     "cross-origin-resource-policy": "cross-origin",
 }
-"""Of a page that may be framed: its address, which has the token, is known to nobody else."""
+"""Headers of a page that may be framed: its address contains the token, so nobody else knows it."""
 
 
 def application(hub: Hub, host: str, port: int, token: str) -> ASGIApp:
@@ -56,13 +56,13 @@ def application(hub: Hub, host: str, port: int, token: str) -> ASGIApp:
     Parameters
     ----------
     hub
-        What is shown.
+        The hub with the state to show.
     host, port
-        Where it is served.
+        Address at which it is served.
     token
-        Without which nothing is shown.
+        Required for access.
     """
-    cookie = f"fingerpost-{port}"  # browsers share cookies among all ports of a host
+    cookie = f"fingerpost-{port}"  # browsers share cookies between all ports of a host
 
     async def page(request: Request) -> Response:
         response = FileResponse(SITE / _PAGES[request.url.path])
@@ -97,19 +97,19 @@ def application(hub: Hub, host: str, port: int, token: str) -> ASGIApp:
 
 
 class Guard:
-    """Lets nobody through but pages of this server that were opened with its token.
+    """Admits only pages of this server that were opened with its token.
 
     Parameters
     ----------
     app
-        What is guarded.
+        The guarded application.
     host, port
-        Where it is served: no other `Host` is answered, so that no other name can be made to lead
-        here, and no other `Origin` may open a WebSocket or send anything.
+        Address at which it is served: requests with another `Host` are refused, against DNS
+        rebinding, and those with another `Origin` may not open a WebSocket or send data.
     token
-        In the query of the address that is opened first, in a cookie from then on.
+        Required in the query of the first request, afterwards in a cookie.
     cookie
-        The cookie's name.
+        Name of the cookie.
     """
 
     def __init__(self, app: ASGIApp, *, host: str, port: int, token: str, cookie: str) -> None:
@@ -118,7 +118,7 @@ class Guard:
         self._hosts = {f"{name}:{port}" for name in names}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, or refuse it in one line."""
+        """Answer a request, or refuse it with one line."""
         if scope["type"] not in ("http", "websocket"):
             return
         framed = self._framed(scope)
@@ -132,7 +132,7 @@ class Guard:
         await PlainTextResponse(f"{words}\n", status, _HEADERS)(scope, receive, send)
 
     def _framed(self, scope: Scope) -> Scope | None:
-        """Return a request of a framed page as one of a page; None if it is none."""
+        """Convert a request of a framed page to that of an ordinary one; None for any other."""
         head, _, path = scope["path"].removeprefix(FRAMED).partition("/")
         is_framed = scope["path"].startswith(FRAMED)
         if is_framed and secrets.compare_digest(head.encode(), self._token.encode()):
@@ -140,7 +140,7 @@ class Guard:
         return None
 
     def _refused(self, scope: Scope, *, has_token: bool) -> tuple[int, str] | None:
-        """Say why a request is refused, and with which status; None if it is not."""
+        """Return status and reason with which a request is refused; None if it is admitted."""
         headers = Headers(scope=scope)
         host, origin = headers.get("host", ""), headers.get("origin")
         if host not in self._hosts:

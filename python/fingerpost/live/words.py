@@ -1,4 +1,4 @@
-"""What a person reads first: where the hand points, or why nobody knows."""
+"""Headline of the page: the indicated point, or why there is none."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ _UNSURE = "ill_conditioned"
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """The line that is read first.
+    """The headline.
 
     Attributes
     ----------
     status
-        That of the fix.
+        Status of the fix.
     said
-        What there is instead of a point; empty where there is one.
+        Text in place of a point; empty with one.
     detail
-        Why, or what else is to be known of the point.
+        The reason, or a remark on the point.
     point
-        The point's numbers, as they are shown: x, y and their standard deviations.
+        The point's numbers for display: x, y and their standard deviations.
     """
 
     status: str
@@ -36,17 +36,17 @@ class Headline:
     point: tuple[str, str, str, str] | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it fit for JSON."""
+        """Return it as JSON values."""
         return asdict(self)
 
 
 def headline(moment: Moment, digits: int) -> Headline:
-    """Say of a moment what a person reads first.
+    """Return the headline of a moment.
 
     Parameters
     ----------
     moment
-        Of the main loop.
+        Moment of the main loop.
     digits
         Decimals of the point's numbers.
     """
@@ -64,12 +64,12 @@ def headline(moment: Moment, digits: int) -> Headline:
 
 
 def digits_of(plane_size: float) -> int:
-    """Return how many decimals show a thousandth of the plane."""
+    """Return the number of decimals that resolve a thousandth of the plane."""
     return max(0, -math.floor(math.log10(plane_size / 1000.0)))
 
 
 def _said(views: list[ViewMoment]) -> str:
-    """Say what the views do that have no finger line, those that do the same together."""
+    """Describe the views without a finger line, grouped by what they do."""
     does: dict[str, list[str]] = {}
     for view in views:
         does.setdefault(_does(view), []).append(view.name)
@@ -89,7 +89,7 @@ def _does(view: ViewMoment) -> str:
 
 
 def _verb(what: str, names: list[str]) -> str:
-    """Put what one does into the plural where several do it."""
+    """Put a phrase into the plural for several views."""
     if len(names) == 1:
         return what
     verb, _, rest = what.partition(" ")
@@ -102,7 +102,7 @@ def _listed(names: list[str]) -> str:
 
 
 def _why(views: list[ViewMoment]) -> str:
-    """Give the views' reasons; the view's name before each where there are several."""
+    """Return the views' reasons, each after the view's name if there are several."""
     reasons = {view.name: view.reasons[0] for view in views if view.reasons}
     if len(set(reasons.values())) == 1:
         return next(iter(reasons.values()))

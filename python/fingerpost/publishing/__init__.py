@@ -1,6 +1,6 @@
-"""Fixes to programs that are already there: one address says which, and where.
+"""Publishes fixes to other programs; an address selects protocol and receiver.
 
-An edge of its own: it knows fixes, and nothing of cameras, recordings or robots.
+It only depends on fixes, not on cameras, recordings or robots.
 """
 
 from fingerpost.publishing.fix import Extent, Pictures, PublishedFix

@@ -1,4 +1,4 @@
-"""`SCHEME://HOST:PORT/PATH?key=value`, as a publisher's address is given."""
+"""Address of a publisher: `SCHEME://HOST:PORT/PATH?key=value`."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ _LARGEST_PORT = 65535
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where to publish.
+    """Address to publish to.
 
     Attributes
     ----------
     url
-        As it was given.
+        The original URL.
     scheme
-        Which receivers it is for.
+        Scheme, which selects the protocol.
     host, port
-        Where they are, or where they come to; this machine alone if nothing is said. The port is
-        None if nothing is said.
+        Address of the receivers, or at which to listen; by default this machine. The port is None
+        by default.
     path
-        Without slashes at its ends.
+        Path without leading and trailing slashes.
     options
-        By their keys; one without a value is empty.
+        Options by key; one without a value is empty.
     """
 
     url: str
@@ -40,12 +40,12 @@ class Address:
 
     @classmethod
     def of(cls, url: str) -> Address:
-        """Read a URL.
+        """Parse a URL.
 
         Raises
         ------
         InvalidInputError
-            It is none.
+            Not a valid URL.
         """
         try:
             parts = urlsplit(url)
@@ -73,9 +73,9 @@ class Address:
         Parameters
         ----------
         default
-            Where nothing is said.
+            Port by default.
         is_free
-            Whether 0, any that is free, is right as well.
+            Whether 0, for any free port, is allowed.
         """
         port = default if self.port is None else self.port
         if not (is_free or 1 <= port <= _LARGEST_PORT):
@@ -83,19 +83,19 @@ class Address:
         return port
 
     def refuse_others(self, known: Sequence[str], *, has_path: bool = False) -> None:
-        """Refuse what this scheme knows nothing of.
+        """Refuse parts that this scheme does not use.
 
         Parameters
         ----------
         known
             Keys of options.
         has_path
-            Whether a path means anything.
+            Whether it uses a path.
 
         Raises
         ------
         InvalidInputError
-            An option or a path that means nothing.
+            An unknown option, or an unused path.
         """
         for key in self.options:
             if key not in known:
@@ -105,7 +105,7 @@ class Address:
             raise InvalidInputError(f"{self.url}: a path means nothing here; leave it out")
 
     def choice(self, key: str, choices: Sequence[str]) -> str:
-        """Return an option that is one of several words; the first where nothing is said."""
+        """Return an option with a fixed set of values; the first by default."""
         value = self.options.get(key, choices[0])
         if value not in choices:
             raise InvalidInputError(

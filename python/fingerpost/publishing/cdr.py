@@ -1,4 +1,4 @@
-"""Three messages of ROS 2 in CDR (XCDR 1, little-endian), as its middlewares send them."""
+"""Three messages of ROS 2 in CDR (XCDR 1, little-endian), the format of its middlewares."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from fingerpost.publishing.fix import PublishedFix
 from fingerpost.uncertainty import confidence_ellipse
 
 _HEAD = b"\x00\x01\x00\x00"
-"""Plain CDR, little-endian; lengths are aligned as if what follows began at 0."""
+"""Plain CDR, little-endian; alignment is relative to the end of this header."""
 
 _UNKNOWN_RAD2 = 1e6
-"""Variance of angles of which nothing is known: a point has no direction."""
+"""Variance of unknown angles: a point has no direction."""
 
 _CYLINDER, _ADD, _DELETE = 3, 0, 2
 _THICKNESS_M = 0.001
@@ -24,7 +24,7 @@ _LIFETIME_S = 1
 
 
 class Stream:
-    """CDR as it is written: each number is aligned to its size."""
+    """Writes CDR: each number is aligned to its size."""
 
     def __init__(self) -> None:
         self._data = bytearray()
@@ -36,7 +36,7 @@ class Stream:
         self._data += struct.pack(f"<{len(values)}{form}", *values)
 
     def text(self, text: str) -> None:
-        """Add a string: its length with the zero at its end, its bytes, and the zero."""
+        """Add a string: its length including the terminating zero, its bytes, and the zero."""
         data = text.encode() + b"\0"
         self.add("I", len(data))
         self._data += data
@@ -54,7 +54,7 @@ class Stream:
 
 
 def messages(fix: PublishedFix, unit_m: float, frame_id: str) -> Iterator[tuple[str, bytes]]:
-    """Give what is said of a fix: topic and message.
+    """Yield the messages of a fix: topic and content.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def messages(fix: PublishedFix, unit_m: float, frame_id: str) -> Iterator[tuple[
     unit_m
         Length of the plane's unit [m].
     frame_id
-        Of the plane: X and Y as the rig's, Z out of it or into it, by the right hand.
+        Frame of the plane: X and Y as in the rig, Z by the right-hand rule.
     """
     stamp_ns = fix.stamp_ns
     if fix.status == "ok" and fix.point is not None and fix.covariance is not None:
@@ -86,7 +86,7 @@ def _point(stamp_ns: int, frame_id: str, x_m: float, y_m: float) -> bytes:
 def _pose(stamp_ns: int, frame_id: str, point_m: np.ndarray, covariance_m2: np.ndarray) -> bytes:
     stream = Stream()
     stream.header(stamp_ns, frame_id)
-    stream.add("d", *point_m, 0.0, 0.0, 0.0, 0.0, 1.0)  # a quaternion that turns nothing
+    stream.add("d", *point_m, 0.0, 0.0, 0.0, 0.0, 1.0)  # the identity quaternion
     covariance = np.diag([0.0, 0.0, 0.0, _UNKNOWN_RAD2, _UNKNOWN_RAD2, _UNKNOWN_RAD2])
     covariance[:2, :2] = covariance_m2
     stream.add("d", *covariance.ravel())
@@ -122,7 +122,7 @@ def _begin_marker(stream: Stream, stamp_ns: int, frame_id: str, action: int) -> 
 
 
 def _end_marker(stream: Stream) -> None:
-    """Add what follows pose and scale: colour, lifetime, and what a cylinder does not have."""
+    """Add the fields after pose and scale: colour, lifetime, and fields unused by a cylinder."""
     stream.add("f", *_COLOUR)
     stream.add("i", _LIFETIME_S)
     stream.add("I", 0)

@@ -1,4 +1,4 @@
-"""Pictures as they are sent: JPEG, as it came where it did."""
+"""Encodes pictures as JPEG, unless they were received in this format."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is published: one frame's answer, flat, with everything that a receiver needs beside it."""
+"""Published form of a fix: flat, with all data that a receiver needs."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from fingerpost.formats import UNITS_MM
 
 
 class PublishedFix(msgspec.Struct, frozen=True, kw_only=True):
-    """One frame's answer, as JSON has it.
+    """The fix of one frame, as in JSON.
 
     Attributes
     ----------
     frame
         Index in the source of the first view.
     time_s
-        Time the answer is for: of recordings since their start, of live views the machine's
-        monotonic clock [s].
+        Time of the fix [s]: since the start of a recording, or on the machine's monotonic clock for
+        live views.
     unix_time_s
-        The same since 1970; None of recordings.
+        The same since 1970; None for recordings.
     status
         `ok`, `acquiring`, `lost` or `ill_conditioned`.
     unit
-        The plane's.
+        Unit of the plane.
     x, y
-        Indicated point [plane units]; None unless there is one.
+        Indicated point [plane units]; None without one.
     cov_xx, cov_xy, cov_yy
         Its covariance [plane units²]; None if unknown.
     crossing_angle_deg
         Angle at which the constraint lines cross, 0 to 90.
     target
-        The thing that the hand most probably points at; None if that is none.
+        The most probable target; None if it is more probable that there is none.
     reason
         Why the status is not `ok`; else empty.
     """
@@ -57,7 +57,7 @@ class PublishedFix(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def point(self) -> tuple[float, float] | None:
-        """Indicated point [plane units], if there is one that may be used."""
+        """Indicated point [plane units]; None without a usable one."""
         return None if self.x is None or self.y is None else (self.x, self.y)
 
     @property
@@ -69,7 +69,7 @@ class PublishedFix(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def stamp_ns(self) -> int:
-        """Time since 1970, of recordings since their start, never below 0 [ns]."""
+        """Time since 1970, or since the start of a recording, never below 0 [ns]."""
         time_s = self.time_s if self.unix_time_s is None else self.unix_time_s
         return max(0, round(1e9 * time_s))
 
@@ -79,11 +79,11 @@ class PublishedFix(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Picture(Protocol):
-    """A frame of a view, as `fingerpost.capture` has it."""
+    """A frame of a view, as in `fingerpost.capture`."""
 
     @property
     def index(self) -> int:
-        """In its source."""
+        """Index in its source."""
 
     @property
     def time_s(self) -> float:
@@ -95,7 +95,7 @@ class Picture(Protocol):
 
     @property
     def encoded(self) -> bytes:
-        """The JPEG or PNG that it came as, if it did."""
+        """The JPEG or PNG that it was received as; else empty."""
 
 
 Pictures = Sequence[tuple[str, Picture]]
@@ -111,7 +111,7 @@ class Extent:
     lower, upper
         Least and largest coordinates [plane units].
     unit
-        The plane's.
+        Unit of the plane.
     """
 
     lower: tuple[float, float]
@@ -126,6 +126,6 @@ class Extent:
 
     @property
     def unit_m(self) -> float | None:
-        """Length of the unit [m]; None of a name that is no unit of length."""
+        """Length of the unit [m]; None for a name that is not a unit of length."""
         length_mm = UNITS_MM.get(self.unit)
         return None if length_mm is None else length_mm / 1e3

@@ -1,4 +1,4 @@
-"""`ndjson:`: one JSON object a line, on standard output."""
+"""`ndjson:`: one JSON object per line, on standard output."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class JsonLines:
         self._has_reader = True
 
     def send(self, fix: PublishedFix, _pictures: Pictures) -> None:
-        """Write a line, unless nobody reads them any more; raises `OSError` once."""
+        """Write a line, unless the reader has closed the pipe; raises `OSError` once."""
         if not self._has_reader:
             return
         try:
@@ -29,14 +29,14 @@ class JsonLines:
             raise
 
     def close(self) -> None:
-        """Leave standard output as it is."""
+        """Do nothing: standard output stays open."""
 
 
 def _write(line: bytes) -> None:
-    """Write below Python's buffers: a thread that waits in them holds up the program's end."""
+    """Write without Python's buffers: a thread that waits in them delays the program's end."""
     try:
         descriptor = sys.stdout.fileno()
-    except OSError:  # no file, but an object that keeps what is written
+    except OSError:  # not a file, but an object that stores its input
         sys.stdout.write(line.decode())
         return
     while line:

@@ -1,7 +1,7 @@
-"""`osc://` and `tuio://`: Open Sound Control by UDP, and the cursors that table-tops expect.
+"""`osc://` and `tuio://`: Open Sound Control by UDP, and the cursors of interactive tables.
 
-TUIO 1.1 (Kaltenbrunner et al. 2005) is OSC with three messages a bundle: which cursors there are
-(`alive`), where each is and how fast it moves (`set`), and the number of the frame (`fseq`).
+TUIO 1.1 (Kaltenbrunner et al. 2005) is OSC with three messages per bundle: the present cursors
+(`alive`), position and velocity of each (`set`), and the number of the frame (`fseq`).
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ _OSC_PORT, _TUIO_PORT = 9000, 3333
 _TURNS = ("0", "90", "180", "270")
 _CURSOR = "/tuio/2Dcur"
 _LONGEST_STEP_S = 1.0
-"""A hand that was away for longer has no speed to speak of."""
+"""Absence of a hand after which its speed is not computed."""
 
 
 class _Line:
     """UDP to one receiver.
 
-    A socket that is connected hears of it, on most systems, when nobody listens there.
+    On most systems, a connected socket reports when there is no receiver.
     """
 
     def __init__(self, address: Address, port: int) -> None:
@@ -86,7 +86,7 @@ class Osc:
         self._line = _Line(address, _OSC_PORT)
 
     def send(self, fix: PublishedFix, _pictures: Pictures) -> None:
-        """Send a fix; a point and its ellipse only where there is one."""
+        """Send a fix, with its point and ellipse if there is one."""
         bundle, prefix = _bundle(), self._prefix
         _add(bundle, f"{prefix}/frame", ("i", fix.frame % 2**31), ("d", fix.time_s))
         _add(bundle, f"{prefix}/status", ("s", fix.status))
@@ -107,8 +107,8 @@ class Osc:
 class Tuio:
     """One cursor of TUIO 1.1 while the hand points onto the plane; parameters as `registry.Opener`.
 
-    Places are fractions of the rectangle about the reference points, from its upper left corner as
-    one looks at the plane with X to the right and Y up; `turn` and `mirror` lay it otherwise.
+    Positions are fractions of the rectangle about the reference points, from its upper left corner
+    with X to the right and Y up; `turn` and `mirror` change this orientation.
     """
 
     wants_pictures = False
@@ -124,7 +124,7 @@ class Tuio:
         self._before: tuple[float, float, float, float, float] | None = None
 
     def send(self, fix: PublishedFix, _pictures: Pictures) -> None:
-        """Send the state of the cursor: where it is, or that there is none."""
+        """Send the state of the cursor: its position, or its absence."""
         bundle = _bundle()
         self._frame = self._frame % (2**31 - 1) + 1
         _add(bundle, _CURSOR, ("s", "source"), ("s", "fingerpost"))
@@ -143,7 +143,7 @@ class Tuio:
         self._line.send(bundle)
 
     def _place(self, fix: PublishedFix) -> tuple[float, float] | None:
-        """Return the place from 0 to 1; None where there is no point, or not within the plane."""
+        """Return the position from 0 to 1; None without a point, or outside the plane."""
         if fix.status != "ok" or fix.point is None:
             return None
         (x, y), (x_min, y_min), (x_max, y_max) = fix.point, self._extent.lower, self._extent.upper
@@ -155,7 +155,7 @@ class Tuio:
         return (u, v) if 0.0 <= min(u, v) <= max(u, v) <= 1.0 else None
 
     def _motion(self, time_s: float, u: float, v: float) -> tuple[float, float, float]:
-        """Return velocity, in sides of the plane a second, and the change of speed a second."""
+        """Return velocity, in sides of the plane per second, and the rate of change of speed."""
         before, speeds = self._before, (0.0, 0.0, 0.0)
         if before is not None and 0.0 < (step_s := time_s - before[0]) <= _LONGEST_STEP_S:
             du, dv = (u - before[1]) / step_s, (v - before[2]) / step_s
@@ -165,7 +165,7 @@ class Tuio:
         return speeds
 
     def close(self) -> None:
-        """Take the cursor away, and close the socket."""
+        """Remove the cursor, and close the socket."""
         if self._before is not None:
             bundle = _bundle()
             _add(bundle, _CURSOR, ("s", "source"), ("s", "fingerpost"))

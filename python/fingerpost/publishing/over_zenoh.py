@@ -1,8 +1,8 @@
 """`zenoh://`: fixes as JSON, and the views' pictures if asked for, to programs on other machines.
 
-Under `KEY/fix` there is JSON; with `?pictures`, under `KEY/VIEW/image` each frame as JPEG
-with its stamp, and whoever asks for `KEY/clock` gets the time by which they are stamped, so that a
-rig elsewhere can have them as a source (`fingerpost.capture`).
+`KEY/fix` carries JSON. With `?pictures`, `KEY/VIEW/image` carries each frame as JPEG with its time
+stamp, and a query of `KEY/clock` returns the clock's time, so that a rig on another machine can use
+them as a source (`fingerpost.capture`).
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ _MOST_QUESTIONS = 16
 
 
 class Link:
-    """A session that is opened as soon as somebody is there, and asked whether somebody still is.
+    """A session that is opened as soon as there is a peer, and checked for its presence.
 
     Parameters
     ----------
     address
-        Its host and port are the end point.
+        Host and port of the end point.
     listens
-        Whether to wait there for others, rather than to connect.
+        Whether to listen there, rather than to connect.
 
     Raises
     ------
     InvalidInputError
-        Nothing can listen there.
+        The address cannot be used.
     MissingExtraError
         The extra `net` is not installed.
     """
@@ -68,7 +68,7 @@ class Link:
         Raises
         ------
         CaptureError
-            Nobody is there. That is asked once a second.
+            There is no peer. This is checked once a second.
         """
         with self._one_at_a_time:
             return self._checked()
@@ -115,7 +115,7 @@ class Zenoh:
         self._one_at_a_time = threading.Lock()
 
     def send(self, fix: PublishedFix, pictures: Pictures) -> None:
-        """Send a fix, and pictures if they were asked for."""
+        """Send a fix, and pictures if requested."""
         import zenoh
 
         session = self._link.session()
@@ -131,7 +131,7 @@ class Zenoh:
             self.send_pictures(pictures)
 
     def send_pictures(self, pictures: Pictures) -> None:
-        """Send pictures, each with its stamp; raises `CaptureError` if nobody is there."""
+        """Send pictures, each with its time stamp; raises `CaptureError` without a peer."""
         import zenoh
 
         session = self._link.session()
@@ -156,10 +156,10 @@ class Zenoh:
 
 
 class _Clock:
-    """Answers with the time of the clock by which pictures are stamped [ns].
+    """Answers queries with the time of the clock by which pictures are stamped [ns].
 
-    From a thread of Python's own: one of zenoh's that calls Python while the interpreter ends takes
-    the process down.
+    It uses Python's own thread: a thread of zenoh that calls Python while the interpreter shuts
+    down crashes the process.
     """
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
@@ -181,12 +181,12 @@ class _Clock:
 
 
 def refuse_wild(address: Address, key: str) -> None:
-    """Refuse a key that stands for several, or for none.
+    """Refuse a key with wildcards, or an invalid one.
 
     Raises
     ------
     InvalidInputError
-        It does.
+        Such a key.
     """
     if any(sign in key for sign in "*$?#") or "//" in key:
         raise InvalidInputError(f"{address.url}: {key!r} is no single key; lab/left is right")

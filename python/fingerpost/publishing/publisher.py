@@ -1,8 +1,8 @@
-"""A thread for each address: what waits for a receiver never waits in the main loop.
+"""Publishes to each address in a separate thread, so that the main loop never waits for a receiver.
 
-Of live views, the oldest fixes that wait are dropped and counted; recorded views wait, so that
-every fix of theirs is published. A receiver that is not there is one line, once, and is tried again
-with every fix.
+With live views, the oldest waiting fixes are dropped and counted; recorded views wait, so that all
+their fixes are published. A missing receiver is reported once, in one line, and tried again with
+every fix.
 """
 
 from __future__ import annotations
@@ -19,34 +19,34 @@ from fingerpost.signals import leave_behind
 _log = logging.getLogger(__name__)
 
 _WAITING = 64
-"""Fixes that may wait for a receiver: two seconds of them."""
+"""Greatest number of fixes that wait for a receiver: two seconds of them."""
 
 _CLOSING_S = 2.0
 
 
 class Transport(Protocol):
-    """How fixes get to receivers of one kind."""
+    """Sends fixes to receivers of one kind."""
 
     wants_pictures: bool
 
     def send(self, fix: PublishedFix, pictures: Pictures) -> None:
-        """Send a fix; raise an OSError in one line if nobody is there."""
+        """Send a fix; raise an OSError of one line without a receiver."""
 
     def close(self) -> None:
-        """Take leave; closing twice does nothing."""
+        """Disconnect; closing twice does nothing."""
 
 
 class Publisher:
-    """Hands fixes to a transport, in a thread of its own; use it by `with`.
+    """Passes fixes to a transport in a separate thread; a context manager.
 
     Parameters
     ----------
     name
-        What it is called in messages: its address.
+        Name in messages: its address.
     transport
-        Where they go; closed in the end.
+        The transport, which is closed at the end.
     waits
-        Whether to wait for a slow receiver, as for recorded views, or to drop the oldest.
+        Whether to wait for a slow receiver, as for recorded views, or to drop the oldest fixes.
     """
 
     def __init__(self, name: str, transport: Transport, *, waits: bool) -> None:
@@ -73,7 +73,7 @@ class Publisher:
         fix
             The fix.
         pictures
-            What it comes from; not looked at unless `wants_pictures`.
+            The views' frames; not used unless `wants_pictures`.
         """
         with self._changed:
             self._put += 1
@@ -86,13 +86,13 @@ class Publisher:
             self._changed.notify_all()
 
     def notes(self) -> list[str]:
-        """Return what is to be said in the end, for people; nothing if all was published."""
+        """Return remarks for the user at the end; none if all fixes were published."""
         if not self._dropped:
             return []
         return [f"{self.name}: {self._dropped} of {self._put} fixes were dropped: it was too slow"]
 
     def close(self) -> None:
-        """Publish what waits, for 2 s at most; closing twice does nothing."""
+        """Publish waiting fixes, for at most 2 s; closing twice does nothing."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -132,7 +132,7 @@ class Publisher:
         try:
             self._transport.send(fix, pictures)
         except Exception as error:
-            # A library may raise anything, and tracking goes on whatever it is.
+            # A library may raise anything; tracking must continue.
             if not self._is_silent:
                 self._is_silent = True
                 strerror = getattr(error, "strerror", None)

@@ -1,4 +1,4 @@
-"""Who serves which scheme: a new kind of receiver is one more entry."""
+"""Transports by scheme: a new kind of receiver is one more entry."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from fingerpost.publishing.ros2 import Ros2
 from fingerpost.publishing.websocket import WebSockets
 
 Opener = Callable[[Address, Extent], Transport]
-"""Makes a transport of an address and of the plane's extent. Raises `InvalidInputError` for what is
-wrong with either, `MissingExtraError` if the extra `net` is not installed."""
+"""Makes a transport from an address and the plane's extent. Raises `InvalidInputError` if either is
+invalid, `MissingExtraError` if the extra `net` is not installed."""
 
 SCHEMES: dict[str, Opener] = {
     "ndjson": JsonLines,
@@ -26,7 +26,7 @@ SCHEMES: dict[str, Opener] = {
     "zenoh": Zenoh,
     "zenoh+ros2": Ros2,
 }
-"""What makes the transport of each scheme."""
+"""Transport of each scheme."""
 
 
 def open_publisher(url: str, extent: Extent, *, waits: bool) -> Publisher:
@@ -35,16 +35,16 @@ def open_publisher(url: str, extent: Extent, *, waits: bool) -> Publisher:
     Parameters
     ----------
     url
-        Where; see `docs/publishing.md`.
+        The address; see `docs/publishing.md`.
     extent
-        Of the plane.
+        Extent of the plane.
     waits
-        As for `Publisher`.
+        As in `Publisher`.
 
     Raises
     ------
     InvalidInputError
-        The URL is none, or nothing can be published there.
+        An invalid URL, or one that cannot be published to.
     MissingExtraError
         The extra `net` is not installed.
     """
@@ -54,12 +54,12 @@ def open_publisher(url: str, extent: Extent, *, waits: bool) -> Publisher:
 
 
 def refuse_unknown(url: str) -> Address:
-    """Read a URL; refuse one of a scheme that nobody serves.
+    """Parse a URL; refuse an unknown scheme.
 
     Raises
     ------
     InvalidInputError
-        It is none, or of another scheme.
+        An invalid URL, or an unknown scheme.
     """
     address = Address.of(url)
     if address.scheme not in SCHEMES:

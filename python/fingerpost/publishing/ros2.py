@@ -1,10 +1,10 @@
-"""`zenoh+ros2://`: fixes as ROS 2 has them, for nodes on rmw_zenoh and behind zenoh-bridge-ros2dds.
+"""`zenoh+ros2://`: fixes as messages of ROS 2, for rmw_zenoh and zenoh-bridge-ros2dds.
 
 Three topics below a name: `point` (geometry_msgs/PointStamped), `pose`
 (geometry_msgs/PoseWithCovarianceStamped) and `ellipse` (visualization_msgs/MarkerArray, the 95 %
-ellipse), in metres. rmw_zenoh has a topic under `DOMAIN/TOPIC/TYPE/HASH` with sequence number, time
-and sender attached, and knows of a publisher by a liveliness token; the bridge has it under its
-name. Both get the same bytes, which cost nothing where nobody subscribes.
+ellipse), in metres. rmw_zenoh uses keys `DOMAIN/TOPIC/TYPE/HASH` with sequence number, time and
+sender attached, and discovers a publisher by a liveliness token; the bridge uses the topic's name.
+Both receive the same bytes, which cost nothing without a subscriber.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _LARGEST_DOMAIN = 232
 _NODE = "fingerpost"
 _NO_HASH = "TypeHashNotSupported"
-"""What stands for a type's hash in Humble, which knows none."""
+"""Placeholder of a type's hash in Humble, which has none."""
 
 _TYPES = {
     "point": (
@@ -45,7 +45,7 @@ _TYPES = {
 
 _ATTACHMENT = struct.Struct("<qqB16s")
 _DEFAULT_QOS = "::,:,:,:,,"
-"""Reliable, volatile, and all the rest as by default, as a liveliness token has it."""
+"""Reliable, volatile, and defaults otherwise, in the format of a liveliness token."""
 
 
 class Ros2:
@@ -73,7 +73,7 @@ class Ros2:
         self._sequence = 0
 
     def send(self, fix: PublishedFix, _pictures: Pictures) -> None:
-        """Send a point and its ellipse; take the ellipse away where there is no point."""
+        """Send a point and its ellipse; remove the ellipse without a point."""
         session = self._link.session()
         if session is not self._announced:
             self._announce(session)
@@ -82,7 +82,7 @@ class Ros2:
             self._put(session, topic, data, fix.stamp_ns)
 
     def key(self, topic: str) -> str:
-        """Return the key of a topic as rmw_zenoh has it."""
+        """Return the key of a topic for rmw_zenoh."""
         kind, known_hash = _TYPES[topic]
         known_hash = known_hash if self._has_hashes else _NO_HASH
         return f"{self._domain}/{self._name}/{topic}/{kind}/{known_hash}"
@@ -101,7 +101,7 @@ class Ros2:
             )
 
     def _announce(self, session: zenoh.Session) -> None:
-        """Have `ros2 node list` and `ros2 topic list` show what is published."""
+        """Announce node and topics, for `ros2 node list` and `ros2 topic list`."""
         start = f"@ros2_lv/{self._domain}/{session.zid()}/0"
         tokens = [f"{start}/0/NN/%/%/{_NODE}"]
         for number, (topic, (kind, known_hash)) in enumerate(_TYPES.items(), start=1):

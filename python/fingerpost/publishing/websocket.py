@@ -1,8 +1,8 @@
-"""`ws://`: whoever connects gets each fix as one JSON text, as long as it keeps up.
+"""`ws://`: every client receives each fix as one JSON text, unless it is too slow.
 
-A page in a browser may connect to any server of the machine it runs on, whoever has written it. So
-only pages that this machine serves itself may, and those that are named by `origin`; programs,
-which have no origin, may as well.
+Any page in a browser can connect to servers of its own machine. Connections are therefore accepted
+only from pages that this machine serves, from those named by `origin`, and from programs, which
+have no origin.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ _log = logging.getLogger(__name__)
 
 _PORT = 8765
 _MOST_WAITING_BYTES = 1 << 16
-"""A receiver for which more waits gets nothing until it has caught up: 200 fixes or so."""
+"""Size of waiting data above which a receiver is skipped until it has caught up: about 200 fixes.
+"""
 _LOOKED_AFTER_S = 0.05
-"""How often it is asked whether a receiver has caught up."""
+"""Interval at which a slow receiver is checked [s]."""
 _LONGEST_MESSAGE_BYTES = 1 << 10
 _CLOSING_S = 1.0
 _OWN_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
@@ -39,7 +40,7 @@ class WebSockets:
     Attributes
     ----------
     port
-        Where it listens; what was free if 0 was asked for.
+        Port on which it listens; a free one if 0 was requested.
     """
 
     wants_pictures = False
@@ -79,14 +80,14 @@ class WebSockets:
         return server
 
     async def _stay(self, connection: ServerConnection) -> None:
-        """Keep a receiver, whose messages mean nothing, until it leaves."""
+        """Keep a receiver until it disconnects; its messages are ignored."""
         if self._newest:
             await connection.send(self._newest)
         async for _ in connection:
             pass
 
     def send(self, fix: PublishedFix, _pictures: Pictures) -> None:
-        """Send a fix to all that are connected; none is an error."""
+        """Send a fix to all clients; having none is not an error."""
         text = fix.as_json().decode()
         self._loop.call_soon_threadsafe(self._send_all, text)
 
@@ -100,7 +101,7 @@ class WebSockets:
             self._behind[one] = self._loop.create_task(self._catch_up(one))
 
     async def _catch_up(self, one: ServerConnection) -> None:
-        """Send the newest fix to a receiver that was behind, once it has taken what waits."""
+        """Send the newest fix to a slow receiver once it has received all waiting data."""
         from websockets.asyncio.server import broadcast
 
         while _is_full(one) and one in self._server.connections:
@@ -109,7 +110,7 @@ class WebSockets:
         broadcast([one], self._newest)
 
     def close(self) -> None:
-        """Send what was sent on its way, close all connections, and no longer listen."""
+        """Finish pending transmissions, close all connections, and stop listening."""
         if self._loop.is_closed():
             return
         ending = asyncio.run_coroutine_threadsafe(self._end(), self._loop)
@@ -134,5 +135,5 @@ def _is_full(connection: ServerConnection) -> bool:
 
 
 _QUIET = logging.getLogger(f"{__name__}.connections")
-"""What single connections do is nobody's concern: browsers come and go."""
+"""Silent logger for single connections: browsers connect and disconnect at any time."""
 _QUIET.setLevel(logging.CRITICAL)

@@ -1,4 +1,4 @@
-"""What a run leaves behind: tables of points and tracks, pictures, videos, sessions (`session`)."""
+"""Outputs of a run: tables of points and tracks, pictures, videos, sessions (`session`)."""
 
 from fingerpost.recording.still import check_picture, write_picture
 from fingerpost.recording.tables import (

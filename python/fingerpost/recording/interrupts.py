@@ -1,4 +1,4 @@
-"""Ctrl-C where a library cannot bear it."""
+"""Defers exceptions of signal handlers during calls of libraries that cannot handle them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ _STOPPING = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Let what a signal handler raises wait for the end of the block; at most some milliseconds.
+    """Defer the exceptions of signal handlers to the end of the block, which must be short.
 
     The handlers of SIGINT and SIGTERM themselves run at once, so that a robot's stop does not wait.
-    Outside of the main thread, where no handler ever runs, nothing is done.
+    Outside the main thread, where no handler ever runs, nothing is done.
 
     Raises
     ------
     BaseException
-        At the end, what a handler raised: KeyboardInterrupt, unless the program has its own.
+        At the end, the exception of a handler: KeyboardInterrupt, unless the program has its own.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -1,4 +1,4 @@
-"""Sheets of markers as files: a PDF to be printed in true size, a picture for a screen."""
+"""Sheets of markers as files: a PDF to print in true size, a picture for a screen."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from fingerpost.errors import InvalidInputError
 
 POINTS_A_MM = 72.0 / 25.4
-"""Units of a PDF in a millimetre."""
+"""Units of a PDF per millimetre."""
 
 RULER_MM = 100.0
 
 Cells = Mapping[tuple[float, float, float], NDArray[np.bool_]]
-"""By the left and the upper edge of each marker and its side, which of its cells are black."""
+"""Masks of the black cells of markers, by left edge, upper edge and side of each marker."""
 
 
 def write_sheet_pdf(path: Path, size_mm: tuple[float, float], markers: Cells, title: str) -> None:
@@ -29,9 +29,9 @@ def write_sheet_pdf(path: Path, size_mm: tuple[float, float], markers: Cells, ti
     size_mm
         Width and height of the paper [mm].
     markers
-        Places [mm] from the lower left corner, Y upwards.
+        Positions [mm] from the lower left corner, Y upwards.
     title
-        What is written beside the ruler.
+        Text beside the ruler.
 
     Raises
     ------
@@ -65,14 +65,14 @@ def write_sheet_pdf(path: Path, size_mm: tuple[float, float], markers: Cells, ti
 
 
 def sheet_picture(size_px: tuple[int, int], markers: Cells) -> NDArray[np.uint8]:
-    """Return a sheet as a screen shows it in full size, (H, W).
+    """Return the picture of a sheet that fills a screen, (H, W).
 
     Parameters
     ----------
     size_px
         Width and height of the screen [px].
     markers
-        Places [px] from the lower left corner, Y upwards.
+        Positions [px] from the lower left corner, Y upwards.
     """
     width, height = size_px
     picture = np.full((height, width), 255, np.uint8)
@@ -86,7 +86,7 @@ def sheet_picture(size_px: tuple[int, int], markers: Cells) -> NDArray[np.uint8]
 
 
 def _boxes(markers: Cells) -> Iterator[str]:
-    """Give black cells as parts of one path, so that no seam is left between neighbours."""
+    """Yield black cells as parts of one path, so that there is no seam between neighbours."""
     for (left, top, side), cells in markers.items():
         cell = side / len(cells)
         for row, column in np.argwhere(cells).tolist():
@@ -95,7 +95,7 @@ def _boxes(markers: Cells) -> Iterator[str]:
 
 
 def _ruler(size_mm: tuple[float, float], markers: Cells, title: str) -> Iterator[str]:
-    """Give a ruler between the lowest rows of markers, where the sheet has room for it."""
+    """Yield a ruler between the lowest rows of markers, where the sheet has room for it."""
     width, _ = size_mm
     tops = sorted({round(top, 6) for _, top, _ in markers})
     side = next(iter(markers))[2]

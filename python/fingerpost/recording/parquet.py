@@ -1,7 +1,7 @@
 """Tables as Parquet: typed columns whose names hold their units, for pandas, Polars, DuckDB and R.
 
-Columns are those of `points.csv` and `tracks.csv`, with the plane's unit in the names of those that
-are measured in it. The file's metadata say what each of them is.
+Columns are those of `points.csv` and `tracks.csv`; names of columns in plane units contain the
+plane's unit. The file's metadata describe each column.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _UNITS = {
     "tip_u": "px",
     "tip_v": "px",
 }
-"""What is added to the names of columns that do not hold their unit already."""
+"""Suffixes of the names of columns that do not already contain their unit."""
 
 _MEANINGS = {
     "frame": "index in the source of the first view; of a track, in the view's own",
@@ -53,14 +53,14 @@ _MEANINGS = {
 
 
 def column_names(row_type: type[Row], unit: str) -> dict[str, str]:
-    """Return what each column is called, by its name in the CSV table.
+    """Return the name of each column, by its name in the CSV table.
 
     Parameters
     ----------
     row_type
-        Of the table.
+        Row type of the table.
     unit
-        The plane's; what is no letter or digit becomes `_`.
+        Unit of the plane; characters other than letters and digits become `_`.
     """
     word = re.sub(r"\W+", "_", unit).strip("_") or "unit"
     names = [field.name for field in dataclasses.fields(row_type)]
@@ -73,7 +73,7 @@ def column_names(row_type: type[Row], unit: str) -> dict[str, str]:
 def write_parquet(
     path: Path, rows: Sequence[Row], row_type: type[Row], *, unit: str, about: Mapping[str, str]
 ) -> None:
-    """Write rows; they replace a file of that name.
+    """Write rows to a file, which replaces an existing one.
 
     Parameters
     ----------
@@ -82,9 +82,9 @@ def write_parquet(
     rows, row_type
         The table.
     unit
-        The plane's.
+        Unit of the plane.
     about
-        What the file says of itself, in its metadata.
+        Metadata of the file.
 
     Raises
     ------

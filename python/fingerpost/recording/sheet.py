@@ -1,8 +1,8 @@
-"""Lines, areas, marks and words on an image, anti-aliased, whatever is asked to be drawn.
+"""Anti-aliased lines, areas, marks and text on an image, for any coordinates.
 
-OpenCV draws at integers of a fraction of a pixel, and its answer to a point at infinity is a
-picture with a streak, or none. A `Sheet` takes coordinates that lie anywhere or are NaN, cuts what
-they describe to what can be seen, and leaves out the rest.
+OpenCV draws at integer multiples of a fraction of a pixel, and fails on points at infinity. A
+`Sheet` accepts any coordinates, including NaN, clips shapes to the image, and leaves out invisible
+parts.
 """
 
 from __future__ import annotations
@@ -24,32 +24,32 @@ Colour = tuple[int, int, int]
 """Blue, green, red."""
 
 CASING: Colour = (0x1C, 0x16, 0x11)
-"""Dark edge of what must stand out from any ground."""
+"""Dark edge of marks that must stand out from any ground."""
 
 LARGEST_PX = 2**15 - 1
-"""Longest side of a sheet: what OpenCV draws on."""
+"""Longest side of a sheet: the limit of OpenCV."""
 
-# Coordinates go to OpenCV as integers of 1/16 px. Further out than this nothing can be seen, and
+# Coordinates are passed to OpenCV as integers of 1/16 px. Beyond this limit nothing is visible, and
 # the integers would overflow.
 _SHIFT = 4
 _FARTHEST_PX = 1e6
 
-# How far outside its border a sheet cuts lines and areas: more than half of any line's width.
+# Distance outside the border at which lines and areas are clipped: over half of any line's width.
 _BORDER_PX = 8.0
 
 
 class Sheet:
-    """Pixels to draw on, and the way there from the coordinates of what is drawn.
+    """Pixels to draw on, and the transform to them from coordinates of a scene.
 
-    `line` and `area` take the coordinates of the scene; `dot`, `cross` and `text`, whose size is
-    not the scene's, take pixels, for which there is `place`.
+    `line` and `area` take coordinates of the scene; `dot`, `cross` and `text`, whose size does not
+    scale with it, take pixels, which `place` computes.
 
     Parameters
     ----------
     pixels : (height, width, 3)
-        Blue-green-red; drawn on in place.
+        Blue-green-red; modified in place.
     pixels_from_scene : (2, 3)
-        Scaling, perhaps mirrored, and shift.
+        Scaling, possibly with reflection, and shift.
     """
 
     def __init__(self, pixels: Image, pixels_from_scene: Points) -> None:
@@ -58,7 +58,7 @@ class Sheet:
 
     @classmethod
     def blank(cls, size_px: tuple[int, int], colour: Colour) -> Self:
-        """Return a sheet of one colour, its scene in pixels.
+        """Return a sheet of one colour, whose scene is in pixels.
 
         Raises
         ------
@@ -75,13 +75,13 @@ class Sheet:
         return self.pixels.shape[1], self.pixels.shape[0]
 
     def on_pixels(self) -> Sheet:
-        """Return the same sheet with its scene in pixels."""
+        """Return the same sheet with a scene in pixels."""
         return Sheet(self.pixels, np.eye(2, 3))
 
     def with_image(self, image: Image, origin: ArrayLike = (0.0, 0.0)) -> Sheet:
-        """Lay an image over the sheet, as large as fits, and return one to draw in its pixels.
+        """Draw an image on the sheet, as large as fits; return a sheet whose scene is its pixels.
 
-        Of a part of an image, `origin` (2,) is the pixel of the whole that it begins with.
+        For a part of an image, `origin` (2,) is the pixel of the full image at which it begins.
 
         Raises
         ------
@@ -98,7 +98,7 @@ class Sheet:
         given, size = np.array([image.shape[1], image.shape[0]]), np.array(self.size_px)
         shown = np.maximum((given * (size / given).min()).round().astype(int), 1)
         scale = shown / given
-        # Only averages over all pixels let none fall through where the image shrinks by much.
+        # A strong reduction must average over all pixels, so that none is skipped.
         way = cv2.INTER_AREA if scale.max() < 0.5 else cv2.INTER_LINEAR
         if image.ndim == 2:
             image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
@@ -111,7 +111,7 @@ class Sheet:
         return Sheet(self.pixels, np.column_stack([np.diag(scale), offset]))
 
     def place(self, points: Points) -> Points:
-        """Pixels of points (..., 2) of the scene; NaN where nothing can be seen of them."""
+        """Return the pixels of points (..., 2) of the scene; NaN where they are invisible."""
         with np.errstate(invalid="ignore", over="ignore"):  # points at infinity
             pixels = affine(self._pixels_from_scene, points)
         near = (np.abs(pixels) < _FARTHEST_PX).all(axis=-1, keepdims=True)  # false for NaN
@@ -132,17 +132,17 @@ class Sheet:
         dash: tuple[float, float] | None = None,
         cased: bool = False,
     ) -> None:
-        """Draw a line through points of the scene; NaN breaks it.
+        """Draw a line through points of the scene, interrupted by NaN.
 
         Parameters
         ----------
         points : (N, 2)
         colour, width
-            Width in px.
+            Colour, and width [px].
         dash
             Lengths of dash and gap [px], > 0; None for a solid line.
         cased
-            Whether it has a dark edge, to stand out from any ground.
+            Whether to add a dark edge, to stand out from any ground.
         """
         import cv2
 
@@ -159,7 +159,7 @@ class Sheet:
     def area(self, points: Points, colour: Colour, opacity: float = 1.0) -> None:
         """Fill a polygon (N, 2) of the scene; nothing if any corner is not finite.
 
-        `opacity` runs from 0 to 1, which hides what is below.
+        `opacity` is from 0 to 1 (opaque).
         """
         import cv2
 
@@ -206,15 +206,15 @@ class Sheet:
         Parameters
         ----------
         words
-            Letters that the typeface lacks become question marks.
+            The text; characters that the typeface lacks become question marks.
         at : (2,)
             A pixel of the baseline.
         height_px
-            Size of the typeface.
+            Size of the typeface [px].
         anchor
-            Share of the text that stands left of `at`: 0 starts there, 1 ends there.
+            Share of the text to the left of `at`: 0 starts there, 1 ends there.
         room
-            The words are cut to this width [px].
+            Greatest width, to which the text is cut [px].
 
         Returns
         -------
@@ -232,7 +232,7 @@ class Sheet:
         return begin, begin + width
 
     def _shows(self, place: Points) -> bool:
-        """Whether a mark at a pixel can be seen; one at NaN cannot."""
+        """Whether a mark at a pixel is visible; one at NaN is not."""
         return bool((np.abs(place) < max(self.size_px) + 100.0).all())
 
 
@@ -242,19 +242,19 @@ def affine(matrix: Points, points: Points) -> Points:
 
 
 def _fixed(pixels: Points) -> NDArray[np.int32]:
-    """Pixels as the integers that OpenCV draws at."""
+    """Return pixels in OpenCV's fixed-point format."""
     return np.rint(pixels * (1 << _SHIFT)).astype(np.int32).reshape(-1, 1, 2)
 
 
 def _pieces(pixels: Points, size: NDArray[np.intp]) -> list[Points]:
-    """Parts of a line that can be seen: broken at NaN, cut outside the border (Liang, Barsky)."""
+    """Return the visible parts of a line: split at NaN, clipped (Liang & Barsky)."""
     if len(pixels) < 2:
         return []
     if _is_on_sheet(pixels, size):
         return [pixels]
     start, step = pixels[:-1], np.diff(pixels, axis=0)
-    # Along a segment, the parameters at which it crosses the two sides of each axis. One that runs
-    # along an axis crosses them at ±∞, or nowhere (NaN) exactly on a side, which counts as outside.
+    # Parameters at which a segment crosses the two sides of each axis. One parallel to an axis
+    # crosses them at ±∞, or nowhere (NaN) if exactly on a side, which counts as outside.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         sides = [(-_BORDER_PX - start) / step, (size + _BORDER_PX - start) / step]
     near, far = np.sort(sides, axis=0)
@@ -270,12 +270,12 @@ def _pieces(pixels: Points, size: NDArray[np.intp]) -> list[Points]:
 
 
 def _is_on_sheet(pixels: Points, size: NDArray[np.intp]) -> bool:
-    """Whether there is nothing to cut: false for NaN."""
+    """Whether no clipping is needed: false for NaN."""
     return bool((pixels >= -_BORDER_PX).all() and (pixels <= size + _BORDER_PX).all())
 
 
 def _dashed(piece: Points, dash: float, gap: float) -> list[Points]:
-    """Cut a line into dashes, each bent as the line is."""
+    """Split a line into dashes that follow it."""
     run = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(piece, axis=0).T))])
     starts = np.arange(0.0, run[-1], dash + gap)
     along = starts[:, None] + np.linspace(0.0, dash, 4)
@@ -283,7 +283,7 @@ def _dashed(piece: Points, dash: float, gap: float) -> list[Points]:
 
 
 def _clipped(polygon: Points, size: NDArray[np.intp]) -> Points:
-    """Cut a polygon to the sheet (Sutherland and Hodgman 1974); empty if NaN is in it."""
+    """Clip a polygon to the sheet (Sutherland and Hodgman 1974); empty if it contains NaN."""
     if _is_on_sheet(polygon, size):
         return polygon
     if not np.isfinite(polygon).all():
@@ -302,7 +302,7 @@ def _clipped(polygon: Points, size: NDArray[np.intp]) -> Points:
 
 # --- lettering --------------------------------------------------------------------------------
 
-# OpenCV 5 brings a typeface with all of Unicode; before it there are stroke letters in ASCII.
+# OpenCV 5 includes a Unicode typeface; older versions have stroke letters in ASCII.
 _STROKE_HEIGHT_PX = 30.0  # of stroke letters at scale 1
 _IN_ASCII = str.maketrans(
     {
@@ -318,7 +318,7 @@ _IN_ASCII = str.maketrans(
     }
 )
 _REGULAR, _BOLD = 400, 600
-_WIDTHS = 4096  # kept of the words of the last pictures
+_WIDTHS = 4096  # number of cached text widths
 
 
 @cache
@@ -336,7 +336,7 @@ def _write(
     face = _typeface()
     if face is not None:
         weight = _BOLD if bold else _REGULAR
-        with uninterrupted():  # a handler that raises crashes OpenCV 5 as it reads a typeface
+        with uninterrupted():  # an exception of a handler crashes OpenCV 5 as it reads a typeface
             cv2.putText(pixels, words, origin, colour, face, height_px, weight)
         return
     letters, scale = words.translate(_IN_ASCII), height_px / _STROKE_HEIGHT_PX
@@ -363,7 +363,7 @@ def _width_in(face: Any, words: str, height_px: int, bold: bool) -> float:
 
 
 def _cut(words: str, room: float, height_px: int, bold: bool) -> str:
-    """As much of the words as there is room for, with … where something is missing."""
+    """Return a text cut to a width, with … for a missing end."""
     if room == math.inf or _text_width(words, height_px, bold) <= room:
         return words
     fits, too_long = 0, len(words)

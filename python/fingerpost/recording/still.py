@@ -1,4 +1,4 @@
-"""A picture as a file."""
+"""Writes a picture to a file."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from fingerpost.errors import InvalidInputError
 
 
 def check_picture(path: Path) -> None:
-    """Refuse a file that `write_picture` could not write, before the work that leads to it.
+    """Refuse a file that `write_picture` could not write, before the picture is computed.
 
     Raises
     ------
     InvalidInputError
-        A name that cannot be passed to OpenCV or has an ending it does not know, a folder that does
-        not exist, or a name that is a folder's.
+        A name that cannot be passed to OpenCV or has an unknown suffix, a folder that does not
+        exist, or the name of a folder.
     """
     _encoded(path, np.zeros((2, 2, 3), np.uint8))
-    # Path.is_dir would raise where a name is too long to exist.
+    # Path.is_dir would raise for a name that is too long.
     if not os.path.isdir(path.parent):  # noqa: PTH112
         raise InvalidInputError(
             f"{path}: the folder {path.parent} does not exist; name a file in an existing folder"
@@ -32,20 +32,20 @@ def check_picture(path: Path) -> None:
 
 
 def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write an image into a file; the name's ending says how.
+    """Write an image to a file; the name's suffix determines the format.
 
     Parameters
     ----------
     path
-        In an existing folder; one that exists is replaced.
+        The file, in an existing folder; an existing file is replaced.
     image : (H, W) or (H, W, 3)
         Grey levels, or blue, green and red.
 
     Raises
     ------
     InvalidInputError
-        A name whose ending OpenCV does not know or cannot be passed, or a file that cannot be
-        written.
+        A name with a suffix unknown to OpenCV or that cannot be passed to it, or a file that cannot
+        be written.
     """
     data = _encoded(path, image)
     try:
@@ -57,7 +57,7 @@ def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
 
 
 def _encoded(path: Path, image: NDArray[np.uint8]) -> bytes:
-    """Return the content of an image file; the name's ending says of which kind."""
+    """Return the content of an image file; the name's suffix determines the format."""
     import cv2
 
     ending = opencv_path(Path(path.suffix), "picture")

@@ -1,9 +1,9 @@
-"""`points.csv` and `tracks.csv`: written row by row as a run goes on, read back with checks.
+"""`points.csv` and `tracks.csv`: written row by row during a run, read back with checks.
 
-A table is CSV in UTF-8 with a header; its columns are the fields of its row class. A cell is
-empty where no value exists. Numbers are written with as many digits as it takes to read the same
-number back. Readers find columns by name, pass over those they do not know, and take a table of an
-earlier version without the columns that have been added since.
+A table is CSV in UTF-8 with a header; its columns are the fields of its row class. A cell without a
+value is empty. Numbers are written with as many digits as are needed to read back the same number.
+Readers find columns by name, ignore unknown ones, and accept tables of earlier versions without the
+columns added since.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ from fingerpost.errors import InvalidInputError, RecordingError
 
 _WHOLE = re.compile(r"\d+", re.ASCII)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-# A singular covariance printed and read back keeps its determinant to about this share.
+# Relative error of a singular covariance's determinant after printing and reading it back.
 _ROUNDING = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class PointRow:
-    """One frame's answer: a row of `points.csv`.
+    """The fix of one frame: a row of `points.csv`.
 
     Attributes
     ----------
     frame
         Index in the source of the first view.
     time_s
-        Time the answer is for, in seconds.
+        Time of the fix, in seconds.
     status
         `ok`, `acquiring`, `lost` or `ill_conditioned`.
     x, y
-        The indicated point in plane units; None unless a point exists.
+        The indicated point in plane units; None without a point.
     cov_xx, cov_xy, cov_yy
         Its covariance in plane units squared; None if unknown.
     crossing_angle_deg
         Angle at which the constraint lines cross on the plane, in degrees, 0 to 90.
     reason
-        Why the status is not `ok`, or which views a fix had to do without, in one line of words
-        with the names of the views; else empty.
+        Why the status is not `ok`, or which views did not contribute, in one line with the names of
+        the views; else empty.
     """
 
     STATUSES: ClassVar = ("ok", "acquiring", "lost", "ill_conditioned")
@@ -105,7 +105,7 @@ class TrackRow:
     sigma_angle_rad
         Its standard deviation.
     sigma_offset_px
-        Standard deviation of the finger line across itself, in px.
+        Standard deviation of the finger line along its normal, in px.
     """
 
     STATUSES: ClassVar = ("acquiring", "tracking", "lost")
@@ -137,16 +137,16 @@ class TrackRow:
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class BesideRow:
-    """One frame's fix beside the recorded one: a row of what `fingerpost replay --beside` writes.
+    """One frame's fix and the recorded one: a row of the table of `fingerpost replay --beside`.
 
     Attributes
     ----------
     frame, time_s, status, x, y
-        As in `PointRow`, of now.
+        The present fix, as in `PointRow`.
     recorded_status, recorded_x, recorded_y
-        Of the recording; empty where it has no fix of that frame.
+        The recorded fix; empty without one for that frame.
     distance
-        Between both points, in plane units; None unless there are two.
+        Distance between both points, in plane units; None unless there are two.
     """
 
     STATUSES: ClassVar = PointRow.STATUSES
@@ -180,17 +180,17 @@ class TargetRow:
     time_s
         Time of the fix, in seconds.
     status
-        Of the fix: `ok`, `acquiring`, `lost` or `ill_conditioned`.
+        Status of the fix: `ok`, `acquiring`, `lost` or `ill_conditioned`.
     target_x, target_y
-        Where the target is, in plane units.
+        Position of the target, in plane units.
     x, y
-        The indicated point in plane units; None unless a point exists.
+        The indicated point in plane units; None without a point.
     cov_xx, cov_xy, cov_yy
-        Its covariance in plane units squared; None unless a point exists.
+        Its covariance in plane units squared; None without a point.
     error
-        From the target to the point, in plane units; None unless a point exists.
+        Distance from the target to the point, in plane units; None without a point.
     by
-        What has selected it: `dwell`, `key`, or `skip` where the operator has given up.
+        How it was selected: `dwell`, `key`, or `skip` if the operator skipped it.
     """
 
     STATUSES: ClassVar = PointRow.STATUSES
@@ -222,9 +222,9 @@ Row = TypeVar("Row", PointRow, TrackRow, BesideRow, TargetRow)
 class TableWriter(Generic[Row]):
     """A table on disk that grows by one row at a time; best used in a `with` statement.
 
-    Each row is handed to the operating system before `write` returns, so that neither Ctrl-C nor
-    a crash loses it. An older file of that name is kept until the first row, or until a `with`
-    statement ends well without any: whatever a program may yet refuse costs nobody a table.
+    Each row is passed to the operating system before `write` returns, so that neither Ctrl-C nor a
+    crash loses it. An existing file is kept until the first row, or until a `with` statement ends
+    without a row or an error: a run that is refused at the start does not destroy a table.
     """
 
     def __init__(self, path: str | Path, row_type: type[Row]) -> None:
@@ -254,7 +254,7 @@ class TableWriter(Generic[Row]):
         self._write([_cell(getattr(row, column)) for column in self._columns])
 
     def _begin(self) -> None:
-        """Empty the file and write the header, unless that is done."""
+        """Truncate the file and write the header, unless that is done."""
         if self._has_begun:
             return
         self._has_begun = True
@@ -274,7 +274,7 @@ class TableWriter(Generic[Row]):
             raise RecordingError(f"{self.path}: cannot be written: the disk is full")
 
     def close(self) -> None:
-        """Close the file; closing twice does nothing. A new one that never began is removed."""
+        """Close the file; closing twice does nothing. A new file without a header is removed."""
         was_open = not self._file.closed
         self._file.close()
         if was_open and self._is_new and not self._has_begun:
@@ -335,8 +335,8 @@ def read_points(path: str | Path) -> list[PointRow]:
     Raises
     ------
     InvalidInputError
-        The file cannot be read, lacks a column, or holds a cell or row that no writer writes;
-        the message names file, line, column and value.
+        The file cannot be read, lacks a column, or has an invalid cell or row; the message names
+        file, line, column and value.
     """
     return _read(Path(path), PointRow)
 
@@ -403,7 +403,7 @@ def _columns(row_type: type[_AnyRow]) -> list[str]:
 
 
 def _cell(value: float | str | None) -> str:
-    """Return a cell's text; `float` also strips what NumPy's numbers write around themselves."""
+    """Return a cell's text; `float` removes the type name in the repr of NumPy numbers."""
     if value is None or isinstance(value, str):
         return value or ""
     return repr(value if isinstance(value, int) else float(value))

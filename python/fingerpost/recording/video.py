@@ -2,13 +2,13 @@
 
 The codec follows from the file's suffix: VP8 for `.webm`, which browsers play and in which every
 frame has its own time (`webm`); MPEG-4 for `.mp4` and `.mkv`, motion JPEG for `.avi`, in which
-frames are shown again or left out to keep to the times.
+frames are repeated or left out to match the times.
 
-Frames go to `name.part.suffix`, which takes its final name when it is closed: a file under the
-final name is always whole. Where there is such a file already it is somebody's, and the part is
-called `name.part2.suffix` and so on. A run that is killed leaves the part behind: `.webm` plays up
-to its last frame, `.avi` and `.mkv` up to their last seconds, while an `.mp4` cannot be played,
-because its index comes at the end.
+Frames are written to `name.part.suffix`, which is renamed when it is closed: a file with the final
+name is always complete. If such a part already exists, the new one is called `name.part2.suffix`
+and so on. A run that is killed leaves its part: `.webm` plays up to its last frame, `.avi` and
+`.mkv` up to their last seconds, while an `.mp4` cannot be played, because its index comes at the
+end.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ if TYPE_CHECKING:
 
 _CODECS = {".webm": "VP8", ".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
 DEFAULT_FPS = 25.0
-"""Of frames that come without times, if the rate is unknown."""
+"""Frame rate for frames without times, if the rate is unknown [1/s]."""
 
 _LEAST_FREE_BYTES = 1 << 20
 _FPS = (1.0, 240.0)
 _LONGEST_GAP = 250
-"""Frames of a gap that is filled: 10 s at 25 frames a second; a longer one is shortened."""
+"""Longest gap that is filled, in frames: 10 s at 25 frames a second; a longer one is shortened."""
 
 
 class VideoWriter:
-    """A video that is opened at the size of its first frame; use it by `with`.
+    """A video that is opened at the size of its first frame; a context manager.
 
     Parameters
     ----------
@@ -48,23 +48,23 @@ class VideoWriter:
         The file; an existing one is replaced when the video is complete. Suffix `.webm`, `.mp4`,
         `.mkv` or `.avi`.
     fps
-        Frames per second, > 0: of frames that come without times, and of containers that know one
-        rate alone. None for the rate of the first two times.
+        Frames per second, > 0, for frames without times, and for containers with a constant rate.
+        None for the rate of the first two times.
     drops
-        Whether a `.webm` leaves out frames for which its encoder has no time; else `write` waits.
+        Whether a `.webm` drops frames while its encoder is busy; else `write` waits.
 
     Raises
     ------
     InvalidInputError
-        The suffix is another, the folder does not exist or cannot be written into, the file's name
-        cannot be passed to OpenCV, or `fps` is not above 0.
+        Another suffix, a folder that does not exist or is not writable, a name that OpenCV cannot
+        use, or `fps` not above 0.
 
     Attributes
     ----------
     path
         The file.
     part
-        The file that holds the frames until the video is complete; it is there, empty, at once.
+        The file with the frames until the video is complete; created empty at once.
     """
 
     def __init__(self, path: str | Path, *, fps: float | None, drops: bool = False) -> None:
@@ -77,7 +77,7 @@ class VideoWriter:
             raise InvalidInputError(f"{path}: is a folder; the name of a video is needed")
         if fps is not None and not 0 < fps < float("inf"):
             raise InvalidInputError(f"fps = {fps}: must be a finite number above 0")
-        opencv_path(self.path, "video")  # refused before there is a part
+        opencv_path(self.path, "video")  # refused before the part is created
         self.part = self._reserved()
         self._fps = fps
         self._film: WebmFilm | None = None
@@ -93,7 +93,7 @@ class VideoWriter:
         self._is_closed = False
 
     def _reserved(self) -> Path:
-        """Make a file next to the video's that was not there before, and is nobody else's."""
+        """Create a new file next to the video's."""
         number = 1
         while True:
             tag = "part" if number == 1 else f"part{number}"
@@ -114,14 +114,14 @@ class VideoWriter:
     def write(self, image: NDArray[np.uint8], time_s: float | None = None) -> None:
         """Append a frame.
 
-        Codecs want even sizes: an odd last row or column is written twice.
+        Codecs require even sizes: an odd last row or column is repeated.
 
         Parameters
         ----------
         image : (height, width) or (height, width, 3), uint8
             Grey, or blue-green-red; all of one size.
         time_s
-            From when on it is shown, counted from the first one's time; None for the next at `fps`.
+            Time from which it is shown, relative to the first one's; None for the next at `fps`.
 
         Raises
         ------
@@ -148,7 +148,7 @@ class VideoWriter:
             self._write_at(image, time_s)
 
     def _checked(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return an image with three channels and even sides; refuse what is none."""
+        """Return an image with three channels and even sides; refuse invalid ones."""
         import cv2
 
         if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)):
@@ -171,16 +171,16 @@ class VideoWriter:
         return image
 
     def _write_at(self, image: NDArray[np.uint8], time_s: float) -> None:
-        """Write a frame in the place of its time, and the one before up to there.
+        """Write a frame at the position of its time, repeating the previous one up to there.
 
-        One whose place is taken is left out.
+        A frame whose position is taken is left out.
         """
         if self._writer is None:
             self._start_s, self._writer = time_s, self._open(self._size)
         place = round((time_s - self._start_s) * (self._fps or DEFAULT_FPS))
         missing = min(place - self._count, _LONGEST_GAP)
         for shown in (self._shown,) * missing + (image,) * (missing >= 0):
-            with uninterrupted():  # a frame that is written counts
+            with uninterrupted():  # a written frame must be counted
                 self._writer.write(shown)
                 self._count += 1
         self._shown = image
@@ -203,7 +203,7 @@ class VideoWriter:
         return writer
 
     def close(self) -> None:
-        """Complete the video and give it its name; without a frame there is no file.
+        """Complete and rename the video; without a frame there is no file.
 
         Raises
         ------

@@ -1,12 +1,12 @@
-"""A film of pictures in WebM, each at its own time, whole up to the last one at any moment.
+"""A film in WebM, each picture at its own time, playable up to the last one at any time.
 
-OpenCV's writer gives every picture the same duration, says nothing of a full disk, and holds
-pictures back. So the container is written here: it is a few elements (RFC 8794, EBML; RFC 9559,
-Matroska). The pictures are key frames of VP8, which is what a lossy WebP file holds (RFC 9649): one
-`VP8 ` chunk. Every browser plays that.
+OpenCV's writer gives every picture the same duration, does not report a full disk, and buffers
+pictures. The container is therefore written here: it consists of a few elements (RFC 8794, EBML;
+RFC 9559, Matroska). The pictures are key frames of VP8, from lossy WebP files (RFC 9649), which
+contain one `VP8 ` chunk. Every browser plays them.
 
-Each picture is a cluster of its own, and the segment's size is unknown until the film is closed: a
-file that was cut plays up to the cut. Closing adds the duration and the index for seeking.
+Each picture is a separate cluster, and the segment's size is unknown until the film is closed: a
+truncated file plays up to its end. Closing adds the duration and the index for seeking.
 """
 
 from __future__ import annotations
@@ -46,19 +46,19 @@ def _number(identifier: str, value: int) -> bytes:
 
 
 def _void(size: int) -> bytes:
-    """Return an element of a size that stands for nothing, to be written over."""
+    """Return a placeholder element of a given size, to be overwritten."""
     return _element(_VOID, bytes(size - 9))
 
 
 class WebmFilm:
-    """A film that grows by one picture at a time; another thread encodes.
+    """A film that grows by one picture at a time, encoded by another thread.
 
     Parameters
     ----------
     path
-        The file, which is there and empty.
+        The file, existing and empty.
     drops
-        Whether a picture is left out while the one before is still being encoded; else it waits.
+        Whether to drop a picture while the previous one is being encoded; else it waits.
     """
 
     def __init__(self, path: Path, *, drops: bool) -> None:
@@ -73,19 +73,19 @@ class WebmFilm:
         self._segment = self._duration = 0
 
     def write(self, image: NDArray[np.uint8], time_s: float) -> None:
-        """Append a picture that is shown from a time on.
+        """Append a picture with the time from which it is shown.
 
         Parameters
         ----------
         image : (height, width, 3)
             Blue-green-red.
         time_s
-            Counted from that of the first; one that is not after the last is put 1 ms after it.
+            Time relative to the first picture [s]; if not after the last, it becomes 1 ms later.
 
         Raises
         ------
         RecordingError
-            The picture before this one could not be written: the disk is full.
+            The previous picture could not be written: the disk is full.
         """
         if self._drops and self._pending is not None and not self._pending.done():
             return

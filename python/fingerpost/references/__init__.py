@@ -1,7 +1,7 @@
-"""Where the reference points of a view are, also when its camera moves.
+"""Detection of a view's reference points, and the homography of a camera that moves.
 
-`ReferenceWatch` looks at the frames of one view and decides whether its camera is static, and how
-the working plane has moved in its picture if it does not.
+`ReferenceWatch` decides from the frames of one view whether its camera is static and, if not, how
+the working plane has moved in the image.
 """
 
 from fingerpost.references.following import Measured, ReferenceFollower

@@ -1,11 +1,11 @@
-"""Follows references that are measured anew in every frame, a rectangle's sides or markers.
+"""Tracks references that are measured in every frame: a rectangle's sides or markers.
 
-While a camera keeps still its measurements are averaged, until the covariance falls no further:
-what pixels' noise adds is another in every frame, what is rough about an edge is not. A camera that
-was knocked shows most of the four points elsewhere at once; from there the average begins anew.
-Where too little of them is visible, the texture of the plane shows whether the camera has moved
-(`ReferenceWatch`): what is known of a plane that stands still is held, and a plane that has moved
-is followed by it until its references are seen again.
+The measurements of a static camera are averaged until the covariance falls no further: pixel noise
+is independent between frames, the roughness of an edge is not. If most of the four points are
+displaced at once, the camera has moved, and averaging restarts. If too little of the references is
+visible, the texture of the plane shows whether the camera has moved (`ReferenceWatch`): the
+homography of a static plane is held, that of a moved one is updated by the texture until its
+references are visible again.
 """
 
 from __future__ import annotations
@@ -32,42 +32,42 @@ Picture = NDArray[np.uint8]
 MOVED_PX = 0.3
 MOVED_SIGMAS = 4.0
 MOVED_POINTS = 3
-"""A camera has moved by which so many of the four points are off by so much: a side that something
-covers takes two with it."""
+"""Least displacement of a point (the greater of [px] and [standard deviations]), and least number
+of displaced points by which the camera has moved: one occluded side displaces two."""
 
 SETTLED_FRAMES = 5
-"""A camera that keeps still for so many measurements stands again."""
+"""Number of consistent measurements after which a camera counts as static again."""
 
 MOST_AVERAGED = 200
 LITTLE_LEFT = 0.1
-"""Frames are measured seldom when that can lessen the covariance by no more than this part, and are
-averaged up to so many."""
+"""Greatest number of averaged measurements; and greatest relative reduction of the covariance by
+further ones at which frames are measured less often."""
 
 LEAST_SCATTER = 3
-"""Least number of measurements whose scatter estimates the noise part of the covariance."""
+"""Least number of measurements whose scatter estimates the share of noise in the covariance."""
 
 ALL_NOISE = 0.8
-"""Ratio of the scatter to the covariances from which these are taken for noise alone: from few
-edges they are estimated a little too large."""
+"""Ratio of the scatter to the covariances above which these are noise alone: estimated from few
+edges they are slightly too large."""
 
 MEASURE_EVERY = 3
-"""One frame in so many of a camera that keeps still is measured then."""
+"""Interval between measured frames of a static camera whose average has converged."""
 
 SEARCH_EVERY = 32
-"""While references are not seen, frames are searched whose number is a power of two, or a multiple
-of this."""
+"""While no references are visible, the frames searched are those whose number is a power of two or
+a multiple of this."""
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Four points of the plane as one frame shows them.
+    """Measured image positions of four points of the plane.
 
     Attributes
     ----------
     points_px
-        (4, 2) [px]; may lie outside of the picture.
+        (4, 2) Positions [px]; may lie outside the picture.
     covariance
-        (8, 8) Of u and v of the points, one after the other [px²].
+        (8, 8) Joint covariance of u and v of each point in turn [px²].
     """
 
     points_px: Array
@@ -75,12 +75,12 @@ class Measured:
 
     @property
     def covariances_px2(self) -> Array:
-        """(4, 2, 2) The covariance of each point alone."""
+        """(4, 2, 2) Marginal covariance of each point [px²]."""
         return blocks_of(self.covariance)
 
 
 class _Mean:
-    """The average of measurements of points that keep still."""
+    """Average of measurements of static points."""
 
     def __init__(self, first: Measured) -> None:
         self.count = 1
@@ -90,12 +90,12 @@ class _Mean:
 
     @property
     def points_px(self) -> Array:
-        """(4, 2) [px]."""
+        """(4, 2) Mean positions [px]."""
         return self._points_px.reshape(4, 2)
 
     @property
     def noise_part(self) -> float:
-        """The part of a measurement's covariance that is another one in every frame, 0 to 1."""
+        """Share of a measurement's covariance that is independent between frames, 0 to 1."""
         if self.count < LEAST_SCATTER:
             return 0.0
         variances = self._squares / (self.count - 1)
@@ -103,20 +103,20 @@ class _Mean:
 
     @property
     def covariance(self) -> Array:
-        """(8, 8) [px²]."""
+        """(8, 8) Covariance of the mean [px²]."""
         noise = self.noise_part
         return self._covariance * (1.0 - noise + noise / self.count)
 
     @property
     def is_done(self) -> bool:
-        """Whether more measurements would hardly lessen the covariance."""
+        """Whether more measurements would hardly reduce the covariance."""
         if self.count < SETTLED_FRAMES:
             return False
         noise = self.noise_part / self.count
         return self.count >= MOST_AVERAGED or noise < LITTLE_LEFT * (1.0 - self.noise_part + noise)
 
     def add(self, measured: Measured) -> None:
-        """Take one more measurement."""
+        """Add a measurement."""
         self.count += 1
         off = measured.points_px.ravel() - self._points_px
         self._points_px = self._points_px + off / self.count
@@ -125,18 +125,18 @@ class _Mean:
 
 
 class ReferenceFollower:
-    """Tells how a view sees the plane, by references that are measured anew.
+    """Estimates the homography of a view from references measured in every frame.
 
     Parameters
     ----------
     plane_points
-        (4, 2) The points of the plane that are measured.
+        (4, 2) The measured points of the plane.
     meter
-        What measures them.
+        Measures their images.
     first
-        About where they are in the first frame that is looked at.
+        Approximate positions in the first frame.
     lens
-        The view's distortion, if it is known.
+        The view's distortion, if known.
     """
 
     def __init__(
@@ -154,11 +154,11 @@ class ReferenceFollower:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the points as averaged so far, (8, 8) [px²]."""
+        """Covariance of the averaged points, (8, 8) [px²]."""
         return self._mean.covariance
 
     def _begin(self, measured: Measured) -> None:
-        """Begin to average anew, at another place."""
+        """Restart the average at another position."""
         self._mean = _Mean(measured)
         self._missed = 0
         self._watch: ReferenceWatch | None = None
@@ -170,33 +170,33 @@ class ReferenceFollower:
         )
 
     def plane_view(self, still: PlaneView) -> PlaneView | None:  # noqa: ARG002
-        """Return how the view sees the plane; None while that is not known.
+        """Return the view's homography; None while unknown.
 
         Parameters
         ----------
         still
-            How it was seen at first; what is measured anew does not depend on it.
+            That of the first frame; not used, because the references are measured.
         """
         return None if self.is_adrift else self._plane_view
 
     def doubt(self) -> None:
-        """Hold nothing until references or texture are seen again, as `ReferenceWatch.doubt`."""
+        """Discard the homography until references or texture confirm it: `ReferenceWatch.doubt`."""
         if self._watch is not None:
             self._watch.doubt()
 
     def look(
         self, grey: Picture, hand: Segment | None = None, picture: Picture | None = None
     ) -> None:
-        """Take the next frame.
+        """Process the next frame.
 
         Parameters
         ----------
         grey
             (H, W) Its grey levels.
         hand
-            Where a hand was in the frame before, if one is followed.
+            Region of a followed hand in the previous frame, if any.
         picture
-            (H, W) or (H, W, 3) The same frame with its colours, if it has any.
+            (H, W) or (H, W, 3) The same frame in colour, if available.
         """
         self._frames += 1
         picture = grey if picture is None else picture
@@ -212,14 +212,14 @@ class ReferenceFollower:
             self._without(picture)
 
     def _watched(self, grey: Picture, hand: Segment | None) -> None:
-        """Have the texture known of a camera that stands, for when the references are covered."""
+        """Update the watch on the texture, for use when the references are covered."""
         if self._mean.count >= SETTLED_FRAMES:
             if self._watch is None:
                 self._watch = ReferenceWatch(self._mean.points_px.tolist(), self._lens)
             self._watch.look(grey, hand)
 
     def _take(self, measured: Measured) -> None:
-        """Average a measurement, or begin anew with it where the camera has moved."""
+        """Average a measurement, or restart the average with it if the camera has moved."""
         self.is_adrift = self.is_held = False
         self._missed = 0
         if not self._is_measured:
@@ -241,7 +241,7 @@ class ReferenceFollower:
             self.moved_px = 0.0
 
     def _without(self, picture: Picture) -> None:
-        """Do without measurement: hold what stands still, follow by texture, or search."""
+        """Handle a frame without a measurement: hold, follow by texture, or search."""
         watch = self._watch
         if watch is not None:
             if watch.motion is not None:
@@ -263,7 +263,7 @@ class ReferenceFollower:
         self._search(picture)
 
     def _moved(self, watch: ReferenceWatch) -> Array:
-        """Return where the texture says that the points are now."""
+        """Return the present positions of the points according to the texture [px]."""
         assert watch.motion is not None
         px = self._mean.points_px
         px = px if self._lens is None else self._lens.undistort(px)
@@ -271,7 +271,7 @@ class ReferenceFollower:
         return px if self._lens is None else np.asarray(self._lens.distort(px))
 
     def _search(self, picture: Picture) -> None:
-        """Look for the references in all of a picture, ever more seldom, and begin anew there."""
+        """Search the whole picture for the references, at growing intervals, and restart there."""
         self._missed += 1
         if self._missed & (self._missed - 1) and self._missed % SEARCH_EVERY:
             return

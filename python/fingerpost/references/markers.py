@@ -1,8 +1,8 @@
-"""Sheets of ArUco markers (Garrido-Jurado et al. 2014), and where a picture shows their corners.
+"""Sheets of ArUco markers (Garrido-Jurado et al. 2014), and measurement of their corners.
 
-OpenCV finds the markers and reads their numbers; the four sides of each are then measured as those
-of any rectangle are (`sides`), whose corners have no bias. All markers of a sheet in sight give one
-homography: one of them is enough.
+OpenCV detects the markers and their numbers. The four sides of each are then measured like those of
+any rectangle (`sides`), which gives corners without bias. All visible markers of a sheet determine
+one homography; one marker suffices.
 """
 
 from __future__ import annotations
@@ -38,37 +38,38 @@ ACROSS = 4
 
 SIDE = 0.16
 MARGIN = 0.06
-"""A marker's side and the sheet's white margin, as parts of its shorter side: printers leave 6 mm
-of A4 white."""
+"""Side of a marker and white margin, relative to the sheet's shorter side: printers leave 6 mm of
+A4 white."""
 
 SHEET_IDS = 40
 SHEETS = 6
-"""Numbers from one sheet to the next, and how many sheets there are of the dictionary's 250."""
+"""Marker numbers reserved per sheet, and number of sheets from the dictionary's 250."""
 
 REACH_CELLS = 0.4
-"""How far from where OpenCV puts it a side is looked for, in cells."""
+"""Search range about a side as OpenCV places it [cells]."""
 
 INSET = 0.08
 
 CELLS_SIGMA_PX = 0.012
-"""What corners are off by besides: white cells near the border are in reach of the kernel."""
+"""Additional standard deviation of corners [px]: the edge kernel reaches white cells near the
+border."""
 
 ROUGH_SIGMA_PX = 0.5
 LEAST_SIDE_PX = 24.0
-"""Of a marker with smaller sides that cannot be measured, OpenCV's corners are taken, and are known
-so well. A larger one is covered then."""
+"""If the sides of a marker smaller than this cannot be measured, OpenCV's corners are used, with
+this standard deviation. A larger one is covered in this case, and is not used."""
 
 OFF_PX = 5.0
-"""A marker whose corners are off by more is of another sheet, or none."""
+"""Greatest residual of a marker's corners; beyond, it is not part of the sheet."""
 
 
 def sheet_markers(sides: tuple[float, float], sheet: int = 1) -> dict[int, Array]:
-    """Return where a sheet has its markers, by their numbers.
+    """Return the markers of a sheet, by number.
 
     Parameters
     ----------
     sides
-        Width and height, in any unit: sheets of one shape differ in scale alone.
+        Width and height, in any unit: sheets of one shape differ only in scale.
     sheet
         Number of the sheet, 1 to `SHEETS`.
 
@@ -81,7 +82,7 @@ def sheet_markers(sides: tuple[float, float], sheet: int = 1) -> dict[int, Array
     Raises
     ------
     InvalidInputError
-        No such sheet, or one so long that it has more than `SHEET_IDS` markers.
+        No such sheet, or one so long that it would have more than `SHEET_IDS` markers.
     """
     if not 1 <= sheet <= SHEETS:
         raise InvalidInputError(f"sheet is {sheet}; 1 to {SHEETS} are right")
@@ -105,7 +106,7 @@ def sheet_markers(sides: tuple[float, float], sheet: int = 1) -> dict[int, Array
 
 
 def marker_cells(number: int) -> NDArray[np.bool_]:
-    """Return which cells (6, 6) of a marker are black, from its upper left one."""
+    """Return the mask (6, 6) of a marker's black cells, from the upper left one."""
     import cv2
 
     picture = np.asarray(cv2.aruco.generateImageMarker(dictionary(), number, CELLS), np.uint8)
@@ -113,25 +114,25 @@ def marker_cells(number: int) -> NDArray[np.bool_]:
 
 
 def dictionary() -> cv2.aruco.Dictionary:
-    """Return the markers' dictionary: few cells, so that markers may be small in the picture."""
+    """Return the dictionary of the markers: few cells, so that they may be small in the picture."""
     import cv2
 
     return cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_250)
 
 
 class MarkersMeter:
-    """Measures the corners of a sheet by the markers on it.
+    """Measures the corners of a sheet by its markers.
 
     Parameters
     ----------
     sides
         Width and height of the sheet, in the plane's unit.
     sheet
-        Its number.
+        Number of the sheet.
     plane_points
-        (4, 2) The points to be measured: its corners.
+        (4, 2) The points to measure: its corners.
     lens
-        The view's distortion, if it is known.
+        The view's distortion, if known.
     """
 
     def __init__(
@@ -149,11 +150,11 @@ class MarkersMeter:
         self._detector = cv2.aruco.ArucoDetector(dictionary())
 
     def measure(self, picture: Picture, near_px: Array) -> Measured | None:  # noqa: ARG002
-        """Measure the corners, wherever they are; None if no marker of the sheet is seen."""
+        """Measure the corners anywhere in the picture; None without a visible marker."""
         return self.search(picture)
 
     def search(self, picture: Picture, near_px: Array | None = None) -> Measured | None:  # noqa: ARG002
-        """Look for the sheet in all of a picture; None if no marker of it is seen."""
+        """Search the whole picture for the sheet; None if no marker of it is visible."""
         grey = tone(picture, None)
         corners, numbers, _ = self._detector.detectMarkers(grey)
         if numbers is None:
@@ -188,7 +189,7 @@ class MarkersMeter:
     def _joined(
         self, plane: list[Array], points: list[Array], covariances: list[Array]
     ) -> Measured | None:
-        """Bring all markers together, but for those that are none of the sheet."""
+        """Combine all markers, except those that are not part of the sheet."""
         ideal = [px if self._lens is None else self._lens.undistort(px) for px in points]
         kept = _agreeing(plane, ideal)
         if not kept:
@@ -202,7 +203,7 @@ class MarkersMeter:
         T = estimate_image_from_plane(X, x, each)
         left = x - transfer_to_image(T, X)
         squares = float(np.einsum("ki,kij,kj->", left, np.linalg.inv(each), left))
-        # A sheet that bends, or an unknown distortion, puts markers off by more than noise.
+        # A bent sheet or an unknown distortion displaces markers by more than noise.
         worse = max(squares / max(2 * len(x) - 8, 1), 1.0)
         Σ = worse * homography_covariance(T, X, joint)
         return self._corners_of(T, Σ)
@@ -218,7 +219,7 @@ class MarkersMeter:
 
 
 def _agreeing(plane: list[Array], ideal: list[Array]) -> list[int]:
-    """Return the markers that most of them agree with on one homography."""
+    """Return the inliers of the homography that most markers agree on."""
     import cv2
 
     if len(plane) == 1:

@@ -1,4 +1,4 @@
-"""What measures references anew in a frame: where it looks, and when it believes what it sees."""
+"""Measurement of references in a frame: search range, and conditions for a valid result."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ Picture = NDArray[np.uint8]
 
 NEAR_PX = 3.0
 FAR_PX = 12.0
-"""How far sides are looked for from where they were: of a still camera, and of one that moves."""
+"""Search range about the previous sides, for a static and for a moving camera."""
 
 CLOSE_PX = 0.5
-"""Corners that are found no further from where they were need not be looked for once more."""
+"""Greatest displacement of the corners at which the first fit is final."""
 
 LEAST_SUPPORT = 0.35
 LEAST_SIDE = 0.15
-"""The part of the outline in the picture, and of its least visible side, that must show."""
+"""Least share of the outline within the picture, and of its least visible side, that has edges."""
 
 MOST_GROWTH = 2.5
-"""How many times as large, or small, a camera that was knocked may show it."""
+"""Greatest ratio of the areas before and after a motion of the camera."""
 
 FADED = 0.25
-"""A side whose step is less than this part of what it was is covered."""
+"""Least ratio of a side's step to its initial step; below, the side is covered."""
 
 
 class Meter(Protocol):
     """Measures four points of the plane in a picture."""
 
     def measure(self, picture: Picture, near_px: Array) -> Measured | None:
-        """Measure them near to where they were; None where too little of them shows."""
+        """Measure them near their previous positions; None if too little of them is visible."""
 
     def search(self, picture: Picture, near_px: Array) -> Measured | None:
-        """Look for them in all of the picture."""
+        """Search the whole picture for them."""
 
 
 class RectangleMeter:
@@ -51,9 +51,9 @@ class RectangleMeter:
     Parameters
     ----------
     size
-        The side from its first to its second corner, and the next one, in any unit.
+        Lengths of the side from the first to the second corner and of the next one, in any unit.
     lens
-        The view's distortion, if it is known.
+        The view's distortion, if known.
     """
 
     def __init__(self, size: tuple[float, float], lens: Lens | None = None) -> None:
@@ -64,17 +64,17 @@ class RectangleMeter:
         self._is_swift = False
 
     def measure(self, picture: Picture, near_px: Array) -> Measured | None:
-        """Measure the corners near to where they were; None where too little of it shows."""
+        """Measure the corners near their previous positions; None if too little is visible."""
         if self._steps is None:
             self._channel = channel_of(picture, near_px)
         levels = tone(picture, self._channel)
-        # Of a camera that has just moved far, the next picture shows them far off again.
+        # A camera that has just moved far probably moves far again.
         for reach_px in (FAR_PX,) if self._is_swift else (NEAR_PX, FAR_PX):
             rough = fit_sides(levels, near_px, self._lens, reach_px=reach_px, steps=self._steps)
             if rough is None:
                 continue
             sides: Sides | None = rough
-            # From nearby, with the steps known, the first fit is as good as any.
+            # If the steps are known and the displacement is small, the first fit is final.
             if self._steps is None or np.abs(rough.corners_px - near_px).max() > CLOSE_PX:
                 sides = fit_sides(
                     levels, rough.corners_px, self._lens, reach_px=NEAR_PX, steps=rough.steps
@@ -88,7 +88,7 @@ class RectangleMeter:
         return None
 
     def search(self, picture: Picture, near_px: Array) -> Measured | None:
-        """Look for it in all of the picture; its corners are taken for the nearest ones."""
+        """Search the whole picture for it; its corners are ordered by the previous positions."""
         area = float(signed_area(near_px))
         for candidate in find_rectangles(picture, self._size, self._lens):
             best = min(

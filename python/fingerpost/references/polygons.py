@@ -1,4 +1,4 @@
-"""Areas and convexity of polygons in a picture."""
+"""Area and convexity of polygons in an image."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ Array = NDArray[np.float64]
 
 
 def signed_area(corners: Array) -> Array:
-    """Return the areas (...) of polygons (..., N, 2), positive where corners run clockwise.
+    """Return the areas (...) of polygons (..., N, 2) by the shoelace formula.
 
-    Clockwise as a picture shows them, with v downwards (the shoelace formula).
+    They are positive if the corners run clockwise in the image, where v points downwards.
     """
     ahead = np.roll(corners, -1, axis=-2)
     return np.asarray(0.5 * _cross(corners, ahead).sum(axis=-1))
 
 
 def is_convex(corners: Array) -> NDArray[np.bool_]:
-    """Tell which polygons (..., N, 2) turn the same way at every corner."""
+    """Return which polygons (..., N, 2) turn the same way at every corner."""
     sides = np.roll(corners, -1, axis=-2) - corners
     turns = _cross(sides, np.roll(sides, -1, axis=-2))
     with np.errstate(invalid="ignore"):
@@ -26,7 +26,7 @@ def is_convex(corners: Array) -> NDArray[np.bool_]:
 
 
 def contains(corners: Array, point: Array) -> bool:
-    """Tell whether a point (2,) lies inside of a convex polygon (N, 2)."""
+    """Return whether a point (2,) lies inside a convex polygon (N, 2)."""
     turns = _cross(np.roll(corners, -1, axis=0) - corners, point - corners)
     return bool((turns > 0.0).all() or (turns < 0.0).all())
 

@@ -1,9 +1,9 @@
-"""Where a picture may show a rectangle of the plane, the likeliest place first.
+"""Detection of a rectangle of the plane in an image; candidates are ordered by score.
 
-Four long straight edges make a quadrilateral. One counts by how much of its outline in the picture
-shows an edge, whether all of it steps the same way, from outside to inside, how large it is, and
-whether a camera of any usual focal length shows a rectangle of the given sides so. What it is
-printed on, what covers a part of it and which corners are in the picture does not matter.
+Four long straight edges form a quadrilateral. Its score depends on the share of its outline within
+the image that has an edge, whether all of it steps the same way from outside to inside, its size,
+and whether it can be the image of a rectangle of the given sides for a usual focal length. The
+rectangle may be partly covered, and its corners may lie outside the image.
 """
 
 from __future__ import annotations
@@ -24,60 +24,61 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 LARGEST_PX = 800
-"""Pictures with a longer side are searched in a reduced size."""
+"""Longest side of a picture that is searched at full size [px]; larger ones are reduced."""
 
 MOST_TRIED = 28
-"""Quadrilaterals whose sides are fitted."""
+"""Greatest number of quadrilaterals whose sides are fitted."""
 
 MOST_KEPT = 6
 
 LEAST_SIDE = 0.12
-"""Part of a side in the picture that must show."""
+"""Least share of a side within the image that has an edge."""
 
 LEAST_SUPPORT = 0.3
-"""The same of a whole outline."""
+"""Least share of the whole outline within the image that has an edge."""
 
 SMALLEST = 0.002
-"""The least area of a rectangle, as a part of the picture's."""
+"""Least area of a rectangle relative to that of the image."""
 
 BARE_COST = 0.5
-"""What a stretch of the outline without an edge costs, where one with an edge counts 1."""
+"""Cost per length of outline without an edge, relative to the gain per length with one."""
 
 LEAST_SHOWN = 0.1
-"""What an outline must count so at least, as a part of its length: two fifths of it show."""
+"""Least sum of this gain and cost, relative to the outline's length: two fifths have an edge."""
 
 BEYOND = 1.0
-"""Corners lie outside of the picture by no more than so many times its longer side."""
+"""Greatest distance of a corner outside the image, relative to the image's longer side."""
 
 MIXED = 0.75
-"""What outlines count that step inwards here and outwards there."""
+"""Factor of the score of an outline whose sides step both inwards and outwards."""
 
 EVEN = 0.5
-"""Sides count by how they step, up to this part of the middle one: a side of a sheet beside three
-plain ones is plain, too, and the grain of wood beside it is not."""
+"""Step of a side, relative to the median of the four, below which its score is reduced: the sides
+of a sheet have similar contrasts, the grain of wood beside it has less."""
 
 UNLIKE = 0.5
 ASPECT_SIGMA = 0.1
 FOCAL_PARTS = np.geomspace(0.5, 4.0, 13)
-"""What a quadrilateral counts at least that is no picture of the rectangle; what sides and their
-angle may be off by [parts, rad]; focal lengths, as parts of the longer side of the picture."""
+"""Least factor of the score of a quadrilateral that is not an image of the rectangle; standard
+deviation of the log ratio of its sides and of their angle [rad]; focal lengths, relative to the
+longer side of the image."""
 
 APART = 0.02
-"""Two quadrilaterals are one whose corners are no further apart, as a part of their diagonal."""
+"""Greatest distance of the corners of equal quadrilaterals, relative to their diagonal."""
 
 REACH_PX = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A place where a picture may show the rectangle.
+    """A quadrilateral that may be the image of the rectangle.
 
     Attributes
     ----------
     sides
-        Its sides and corners, these clockwise in the picture.
+        Its sides and corners, the latter clockwise in the picture.
     score
-        How likely it is: larger is likelier.
+        Score; a greater one is more likely.
     """
 
     sides: Sides
@@ -90,19 +91,19 @@ def find_rectangles(
     lens: Lens | None = None,
     near_px: Array | None = None,
 ) -> list[Candidate]:
-    """Return where a picture may show a rectangle, the likeliest first.
+    """Detect the possible images of a rectangle, best score first.
 
     Parameters
     ----------
     picture
         (H, W) or (H, W, 3), 8 bits.
     size
-        Its sides, in any unit.
+        Lengths of its sides, in any unit.
     lens
-        The view's distortion, if it is known.
+        The view's distortion, if known.
     near_px
-        (2,) A point inside of it; or (4, 2) about where its corners are, in any order, which count
-        more than anything else then.
+        (2,) A point inside it; or (4, 2) approximate corners, in any order, which then dominate
+        the score.
     """
     reduction = Reduction.of(picture.shape, LARGEST_PX)
     small = reduction.picture(picture)
@@ -114,21 +115,21 @@ def find_rectangles(
 
 
 def size_scores(picture: Picture, sizes: Sequence[tuple[float, float]]) -> list[float]:
-    """Return how well the picture shows a rectangle of each of several sizes, by its sides alone.
+    """Return the best score of rectangles of each of several sizes, by their sides alone.
 
-    Edges are searched once for all of them. Sizes of one aspect ratio score the same.
+    Edges are detected once for all sizes. Sizes of the same aspect ratio have equal scores.
 
     Parameters
     ----------
     picture
         (H, W) or (H, W, 3), 8 bits.
     sizes
-        Two sides each, in any unit.
+        Lengths of both sides of each, in any unit.
 
     Returns
     -------
     list of float
-        The score of the best quadrilateral, one for each size; 0 where there is none.
+        Score of the best quadrilateral for each size; 0 without one.
     """
     small = Reduction.of(picture.shape, LARGEST_PX).picture(picture)
     quads, scores = _quadrilaterals(find_lines(small), small.shape, None)
@@ -152,7 +153,7 @@ def _fitted(
     lens: Lens | None,
     near_px: Array | None,
 ) -> list[Candidate]:
-    """Fit the sides of the best quadrilaterals, and judge them anew by what these show."""
+    """Fit the sides of the best quadrilaterals, and recompute their scores from the fits."""
     found: list[Candidate] = []
     tried: list[Array] = []
     for quad, score in zip(quads, scores.tolist(), strict=True):
@@ -190,18 +191,18 @@ def _score(
 
 
 def channel_of(picture: Picture, quad: Array) -> int | None:
-    """Return the channel of a picture in which an outline shows best; None for grey levels."""
+    """Return the channel in which an outline has the greatest contrast; None for grey levels."""
     if picture.ndim == 2:
         return None
     grey = abs(_contrast(tone(picture, None), quad))
     steps = [abs(_contrast(picture[..., k], quad)) for k in range(3)]
     best = int(np.argmax(steps))
-    # Colours are recorded at half the resolution of grey levels.
+    # Colours have half the resolution of grey levels, so they must have twice the contrast.
     return None if steps[best] < 2.0 * grey else best
 
 
 def tone(picture: Picture, channel: int | None) -> Picture:
-    """Return a channel of a picture, (H, W); its grey levels for None."""
+    """Return a channel of a picture, (H, W), or its grey levels for None."""
     import cv2
 
     if picture.ndim == 2:
@@ -230,14 +231,14 @@ def _contrast(channel: Picture, quad: Array) -> float:
 def _quadrilaterals(
     lines: list[Line], shape: tuple[int, ...], near_px: Array | None
 ) -> tuple[Array, Array]:
-    """Return (N, 4, 2) quadrilaterals of four lines, clockwise in the picture, and their scores."""
+    """Return quadrilaterals (N, 4, 2) of four lines, clockwise in the picture, and their scores."""
     count = len(lines)
     if count < 4:
         return np.empty((0, 4, 2)), np.empty(0)
     points = np.array([line.point for line in lines])
     along = np.array([line.along for line in lines])
     t = _crossings(points, along)
-    # Pairs of opposite sides: the pairs (a, c) and (b, d) make the corners ab, bc, cd, da.
+    # Pairs of opposite sides: the pairs (a, c) and (b, d) form the corners ab, bc, cd, da.
     a, c = np.triu_indices(count, 1)
     i, j = np.triu_indices(len(a), 1)
     meets = _is_near(points[:, None] + t[..., None] * along[:, None], shape)
@@ -248,7 +249,7 @@ def _quadrilaterals(
     fits = _is_possible(corners, shape)
     sides, corners = sides[fits], corners[fits]
     backward = signed_area(corners) < 0.0
-    # The other way round: corners ab, da, cd, bc are of the sides a, d, c, b.
+    # In reverse order, the corners ab, da, cd, bc belong to the sides a, d, c, b.
     sides[backward] = sides[backward][:, [0, 3, 2, 1]]
     corners[backward] = _corners(points, along, t, sides[backward])
     scores = _support(lines, points, along, sides, corners, shape)
@@ -258,7 +259,7 @@ def _quadrilaterals(
 
 
 def _crossings(points: Array, along: Array) -> Array:
-    """Return how far along each line (row) each other one (column) crosses it; NaN if nowhere."""
+    """Return positions along each line (row) where the others (columns) cross it; NaN if none."""
     between = points[None] - points[:, None]
     cross = along[:, None, 0] * along[None, :, 1] - along[:, None, 1] * along[None, :, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -267,13 +268,13 @@ def _crossings(points: Array, along: Array) -> Array:
 
 
 def _corners(points: Array, along: Array, t: Array, sides: NDArray[np.intp]) -> Array:
-    """Return (N, 4, 2): side k runs from corner k to the next one."""
+    """Return the corners (N, 4, 2); side k runs from corner k to the next one."""
     before = np.roll(sides, 1, axis=1)
     return np.asarray(points[sides] + t[sides, before][..., None] * along[sides])
 
 
 def _is_near(points: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Tell which points (..., 2) lie in a picture or so near to it that corners may."""
+    """Return which points (..., 2) lie in a picture or close enough to it to be corners."""
     beyond = BEYOND * max(shape[:2])
     last = np.array(shape[1::-1]) + beyond
     with np.errstate(invalid="ignore"):
@@ -281,7 +282,7 @@ def _is_near(points: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def _is_possible(corners: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Tell which quadrilaterals are convex, large enough, and about the picture."""
+    """Return which quadrilaterals are convex, large enough, and near the picture."""
     with np.errstate(invalid="ignore"):
         large = np.abs(signed_area(corners)) > SMALLEST * shape[0] * shape[1]
         middle = corners.mean(axis=1)
@@ -297,7 +298,7 @@ def _support(
     corners: Array,
     shape: tuple[int, ...],
 ) -> Array:
-    """Return what outlines count by their edges: those that show, less those that do not [px]."""
+    """Return scores of outlines: length with edges less the cost of that without [px]."""
     ends = np.roll(corners, -1, axis=1)
     seen = _clipped(corners, ends, shape)
     shown, total = np.zeros(sides.shape), np.zeros(sides.shape)
@@ -319,13 +320,13 @@ def _support(
 
 
 def _covered(intervals: Array, t: Array) -> Array:
-    """Return how much of the intervals lies before each place."""
+    """Return the total length of the intervals before each position."""
     begin, end = intervals.T
     return np.asarray((np.clip(t[:, None], begin, end) - begin).sum(axis=1))
 
 
 def _clipped(corners: Array, ends: Array, shape: tuple[int, ...]) -> Array:
-    """Return (N, 4, 2, 2) the parts of sides in the picture, from and to; points where none is."""
+    """Return the ends (N, 4, 2, 2) of the sides clipped to the picture; equal if outside it."""
     ahead = ends - corners
     low, high = np.zeros(corners.shape[:2]), np.ones(corners.shape[:2])
     for axis, last in enumerate((shape[1] - 1.0, shape[0] - 1.0)):
@@ -339,24 +340,24 @@ def _clipped(corners: Array, ends: Array, shape: tuple[int, ...]) -> Array:
 
 
 def _likeness(quad: Array, size: tuple[float, float], shape: tuple[int, ...]) -> float:
-    """Return how well some camera shows a rectangle of a size so, from `UNLIKE` to 1."""
+    """Return the likelihood of a quadrilateral for either order of the sides, `UNLIKE` to 1."""
     return max(UNLIKE, *(likeness(quad, turned, shape) for turned in (size, size[::-1])))
 
 
 def likeness(quad: Array, size: tuple[float, float], shape: tuple[int, ...]) -> float:
-    """Return how well some camera shows a rectangle so, from 0 to 1.
+    """Return the likelihood that a quadrilateral is the image of a rectangle, from 0 to 1.
 
-    Of the columns of a homography, freed of the focal length, the first two are at a right angle
-    and equally long (Zhang 2000); the principal point is in the middle of the picture.
+    The first two columns of K⁻¹T are orthogonal and of equal length (Zhang 2000). The focal length
+    is the best of `FOCAL_PARTS`; the principal point is the image centre.
 
     Parameters
     ----------
     quad
         (4, 2) Its corners [px].
     size
-        The side from the first to the second corner, and that from there to the third.
+        Lengths of the side from the first to the second corner and of the next one.
     shape
-        Of the picture.
+        Shape of the picture.
     """
     import cv2
 
@@ -374,7 +375,7 @@ def likeness(quad: Array, size: tuple[float, float], shape: tuple[int, ...]) -> 
 
 
 def _nearness(quads: Array, near_px: Array | None, shape: tuple[int, ...]) -> Array:
-    """Return what quadrilaterals count by where they are said to be, from 0 to 1."""
+    """Return the factor of scores by the distance from the given position, from 0 to 1."""
     if near_px is None:
         return np.ones(len(quads))
     near = np.asarray(near_px, np.float64)
@@ -389,13 +390,13 @@ def _nearness(quads: Array, near_px: Array | None, shape: tuple[int, ...]) -> Ar
 
 
 def _is_same(quad: Array, other: Array) -> bool:
-    """Tell whether two quadrilaterals, both clockwise, have the same corners."""
+    """Return whether two quadrilaterals, both clockwise, have the same corners."""
     diagonal = float(np.linalg.norm(quad[2] - quad[0]))
     turned = (np.roll(other, k, axis=0) for k in range(4))
     return any(float(np.abs(quad - one).max()) < APART * diagonal for one in turned)
 
 
 def turned(sides: Sides, *, clockwise: bool) -> list[Sides]:
-    """Return a quadrilateral with each of its corners as the first, clockwise as shown or not."""
+    """Return a quadrilateral with each of its corners as the first, clockwise or anticlockwise."""
     order = np.arange(4) if clockwise else np.arange(4)[::-1]
     return [sides.ordered(np.roll(order, -k)) for k in range(4)]

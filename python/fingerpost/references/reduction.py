@@ -1,8 +1,8 @@
-"""Pictures reduced by a whole factor, and what that does to their pixels.
+"""Reduction of pictures by an integer factor, and the transform of their pixel coordinates.
 
-A table seen by 48 million pixels shows no more of where it is than by one million: what blurs a
-picture grows with it, and texture is found at every scale. So large pictures are worked on at a
-size at which time and memory are small beside those of decoding them.
+48 million pixels of a table determine its position no better than one million: blur scales with the
+picture, and texture exists at every scale. Large pictures are therefore processed at a size at
+which time and memory are small compared with those of decoding.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from fingerpost.lens import Lens
 
 @dataclass(frozen=True)
 class Reduction:
-    """A picture whose pixels are means of squares of another one's.
+    """Reduction of a picture by averaging squares of pixels.
 
     Parameters
     ----------
     factor
-        The side of such a square [px], a whole number from 1.
+        Side of a square [px], an integer from 1.
     """
 
     factor: int
 
     @classmethod
     def of(cls, shape: tuple[int, ...], largest_px: int) -> Reduction:
-        """Return the least one by which no side of a picture (H, W) is longer than a limit [px]."""
+        """Return the least reduction after which no side of a picture (H, W) exceeds a limit."""
         return cls(math.ceil(max(shape[:2]) / largest_px))
 
     @property
     def whole_from_reduced(self) -> NDArray[np.float64]:
-        """(3, 3) What takes pixels of the reduced picture to the whole one's."""
+        """(3, 3) Transform from pixels of the reduced picture to those of the full one."""
         factor, shift = float(self.factor), 0.5 * self.factor - 0.5
         return np.array([[factor, 0.0, shift], [0.0, factor, shift], [0.0, 0.0, 1.0]])
 
     def picture(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Reduce a picture (H, W) or (H, W, 3); rows and columns that are left over fall away."""
+        """Reduce a picture (H, W) or (H, W, 3); incomplete squares at its end are dropped."""
         if self.factor == 1:
             return picture
         import cv2
@@ -51,15 +51,15 @@ class Reduction:
         return np.asarray(cv2.resize(used, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
     def points(self, points_px: ArrayLike) -> NDArray[np.float64]:
-        """Return where the reduced picture shows points (..., 2) of the whole one [px]."""
+        """Transform points (..., 2) of the full picture to the reduced one [px]."""
         return (np.asarray(points_px, np.float64) + 0.5) / self.factor - 0.5
 
     def whole(self, reduced_px: ArrayLike) -> NDArray[np.float64]:
-        """Return where the whole picture shows points (..., 2) of the reduced one [px]."""
+        """Transform points (..., 2) of the reduced picture to the full one [px]."""
         return (np.asarray(reduced_px, np.float64) + 0.5) * self.factor - 0.5
 
     def lens(self, lens: Lens | None) -> Lens | None:
-        """Return the lens of the reduced picture."""
+        """Return the lens in pixels of the reduced picture, from one of the full picture."""
         if lens is None:
             return None
         cx, cy = self.points((lens.cx, lens.cy)).tolist()
@@ -68,7 +68,7 @@ class Reduction:
         )
 
     def whole_lens(self, lens: Lens) -> Lens:
-        """Return the lens of the whole picture, of that of the reduced one."""
+        """Return the lens in pixels of the full picture, from one of the reduced picture."""
         cx, cy = self.whole((lens.cx, lens.cy)).tolist()
         return dataclasses.replace(
             lens, fx=lens.fx * self.factor, fy=lens.fy * self.factor, cx=cx, cy=cy

@@ -190,8 +190,8 @@ class PlaneRegistration:
     def is_static(self, now: Picture, guess: Array, hand: Segment | None = None) -> bool:
         """Whether the plane is static although something else moves.
 
-        It is if squares that the motion would change are as in the first image: an arm, its load or
-        the light has changed.
+        It is if squares that the motion would change are as in the first image: then an arm, its
+        load or the light has changed.
 
         Parameters
         ----------
@@ -242,19 +242,20 @@ class PlaneRegistration:
 
 @dataclass(frozen=True, eq=False)
 class _Chosen:
-    """The chosen pixels of the first image, each level when it is first asked for.
+    """The chosen pixels of the first image; each level is computed on first use.
 
-    Whether the plane moves is asked in every frame, by the best pixels of the finest level; how it
-    moves, only of a camera that does.
+    Whether the plane moves is tested in every frame, by the best pixels of the finest level; its
+    motion is only estimated once it does.
 
     Attributes
     ----------
     first
         (H, W) Grey levels of the first image.
     plane, everything
-        (H, W) Masks of the plane, and of what shows whether a camera moves, without hands.
+        (H, W) Masks of the plane, and of all pixels that may show a motion of the camera; both
+        without hands.
     lens, points_px, unit_from_px
-        As of the registration.
+        As in the registration.
     """
 
     first: Picture
@@ -334,7 +335,7 @@ class _Level:
         return float(_noise(self._picture) / np.sqrt(2.0 * np.pi) / BLUR_PX)
 
     def in_core(self, unit_from_px: Array) -> PlaneLevel:
-        """Return the pixels as the core takes them."""
+        """Return the pixels in the core's representation."""
         is_finest = self._scale == 1.0
         oblique_px = NON_SIMILARITY_SIGMA_PX if is_finest else COARSE_NON_SIMILARITY_SIGMA_PX
         return PlaneLevel(
@@ -360,13 +361,13 @@ class _Level:
         """Whether squares that a motion would change have not changed."""
         if len(self._levels) == 0:
             return False
-        here, in_sight = self._seen(smooth, np.eye(3), hand)
-        if in_sight.sum() < MIN_INLIERS:
+        here, visible = self._seen(smooth, np.eye(3), hand)
+        if visible.sum() < MIN_INLIERS:
             return False
-        weights = in_sight / self._variances
+        weights = visible / self._variances
         off_px = transfer_to_image(guess, self._places_px) - self._places_px
         expected = np.nan_to_num((self._by_px * off_px).sum(axis=1))
-        left = here - _relit(self._levels, here, in_sight)
+        left = here - _relit(self._levels, here, visible)
         level, now = self._centred(np.column_stack([self._levels, here]), weights)
         shown = self._sums(weights * level**2)
         # The change by a large motion is bounded by the square's contrast.
@@ -395,15 +396,15 @@ class _Level:
         if self._lens is not None:
             places_px = self._lens.distort(places_px)
             known &= np.isfinite(places_px).all(axis=1)
-        in_sight = known if hand is None else known & ~is_within(hand, places_px)
+        visible = known if hand is None else known & ~is_within(hand, places_px)
         places_px = (places_px + 0.5) * self._scale - 0.5
         last_px = np.array(self._size_px) - 2.0
-        in_sight &= ((places_px >= 1.0) & (places_px <= last_px)).all(axis=1)
+        visible &= ((places_px >= 1.0) & (places_px <= last_px)).all(axis=1)
         # OpenCV refuses sides of 32,768 and more.
-        rows = np.where(in_sight[:, None], places_px, 0.0).astype(np.float32)
+        rows = np.where(visible[:, None], places_px, 0.0).astype(np.float32)
         rows = np.resize(rows, (-(-len(rows) // ROW), ROW, 2))
         here = cv2.remap(smooth, rows[..., 0].copy(), rows[..., 1].copy(), cv2.INTER_LINEAR)
-        return np.asarray(here, np.float64).ravel()[: len(places_px)], in_sight
+        return np.asarray(here, np.float64).ravel()[: len(places_px)], visible
 
     def _centred(self, columns: Array, weights: Array) -> Array:
         """Return columns less their weighted mean in each square, transposed."""
@@ -424,13 +425,13 @@ def _noise(picture: Picture) -> float:
     return float(1.4826 * np.median(np.abs(cv2.filter2D(picture, cv2.CV_32F, kernel))))
 
 
-def _relit(levels: Array, here: Array, in_sight: Mask) -> Array:
+def _relit(levels: Array, here: Array, visible: Mask) -> Array:
     """Return levels mapped by the gain and offset of most of their present values."""
-    counts = in_sight
+    counts = visible
     for _ in range(LIGHT_ITERATIONS):
         gain, offset = np.polyfit(levels[counts], here[counts], 1)
         off = np.abs(here - gain * levels - offset)
-        counts = in_sight & (off <= 2.0 * np.median(off[in_sight]))
+        counts = visible & (off <= 2.0 * np.median(off[visible]))
     return np.asarray(gain * levels + offset)
 
 

@@ -1,8 +1,8 @@
-"""Long straight edges of a picture: segments, and the lines that several of them lie on.
+"""Long straight edges of a picture: segments, and lines through several of them.
 
-Segments are found by OpenCV (LSD: Grompone von Gioi et al. 2010), in grey levels, in these with
-what is smooth taken out and the rest made stronger, as the edge of white paper on a white desk
-needs, and in the colours' differences. A line has a direction: it is darker on one side.
+Segments are detected by OpenCV (LSD: Grompone von Gioi et al. 2010) in grey levels, in
+high-pass-filtered and amplified grey levels, for edges such as that of white paper on a white desk,
+and in colour differences. A line has a direction, given by its darker side.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ Picture = NDArray[np.uint8]
 MOST_LINES = 44
 DIRECTIONS = 12
 MOST_A_DIRECTION = 10
-"""The plainest lines are kept, so many of the half circle's directions each at most: wood has
-hundreds along its grain."""
+"""Greatest number of lines, number of direction bins in the half circle, and greatest number of
+lines per bin; the strongest are kept. Wood has hundreds along its grain."""
 
 LEAST_PART = 0.015
-"""Segments that are shorter than this part of the picture's diagonal are no sides."""
+"""Least length of a segment, relative to the picture's diagonal."""
 
 MOST_SEGMENTS = 1200
 
 COLLINEAR_PX = 2.0
 COLLINEAR_RAD = 0.06
-"""Segments are of one line whose ends are no further from it, and which are turned by no more."""
+"""Greatest distance of a segment's ends from its line, and greatest angle between both."""
 
 GAIN = 4.0
 AROUND_PX = 15.0
-"""Faint edges are made stronger by so much, relative to a mean of this sigma."""
+"""Amplification of faint edges, and sigma of the mean that is subtracted."""
 
 COLOUR_GAIN = 2.0
 
 LIGHT = np.array([1.0, 0.6, 0.3])
-"""Which of two colours is the lighter one, by L, a and b: that of grey levels where they differ."""
+"""Weights of L, a and b that decide which of two colours is the lighter one: mostly L."""
 
 BESIDE_PX = 3.0
-"""How far from a segment its two sides are looked at."""
+"""Distance from a segment at which the levels of its two sides are sampled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +50,11 @@ class Line:
     Attributes
     ----------
     point
-        (2,) A point of it [px].
+        (2,) A point of the line [px].
     along
-        (2,) Its direction; it is brighter on the side to which this is turned by 90°, from u to v.
+        (2,) Its direction; rotated by 90° from u to v, it points to the brighter side.
     intervals
-        (M, 2) Parts of it that show, from and to, as distances from the point [px]; apart, sorted.
+        (M, 2) Visible parts: start and end as distances from the point [px]; disjoint, sorted.
     """
 
     point: Array
@@ -64,17 +64,17 @@ class Line:
 
     @property
     def length_px(self) -> float:
-        """How much of it shows [px]."""
+        """Visible length [px]."""
         return float((self.intervals[:, 1] - self.intervals[:, 0]).sum())
 
     @property
     def plainness(self) -> float:
-        """How plain it is: long and of much contrast."""
+        """Strength: greater for a long line of high contrast."""
         return self.length_px * float(np.sqrt(self.contrast))
 
 
 def find_lines(picture: Picture) -> list[Line]:
-    """Return the plainest straight edges of a picture (H, W) or (H, W, 3), the plainest first."""
+    """Return the strongest straight edges of a picture (H, W) or (H, W, 3), strongest first."""
     segments = np.concatenate([_segments(channel) for channel in _channels(picture)])
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     least_px = LEAST_PART * float(np.hypot(*picture.shape[:2]))
@@ -98,7 +98,7 @@ def find_lines(picture: Picture) -> list[Line]:
 
 
 def _channels(picture: Picture) -> list[Picture]:
-    """Return the pictures in which edges are looked for."""
+    """Return the images in which edges are detected."""
     import cv2
 
     grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
@@ -113,7 +113,7 @@ def _channels(picture: Picture) -> list[Picture]:
 
 
 def _segments(channel: Picture) -> Array:
-    """Return (N, 2, 2) segments, from and to."""
+    """Detect segments (N, 2, 2), given by start and end."""
     import cv2
 
     found = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD).detect(channel)[0]
@@ -123,7 +123,7 @@ def _segments(channel: Picture) -> Array:
 
 
 def _sides(picture: Picture, segments: Array) -> list[Array]:
-    """Return levels (N, C) in the middle of segments, on the side of the normal and the other."""
+    """Return levels (N, C) at the middle of segments, on the side of the normal and the other."""
     import cv2
 
     middle, along = segments.mean(axis=1), segments[:, 1] - segments[:, 0]
@@ -136,7 +136,7 @@ def _sides(picture: Picture, segments: Array) -> list[Array]:
 
 
 def _lab(picture: Picture) -> Picture:
-    """Return lightness and two differences of colours, (H, W, 3)."""
+    """Return lightness and two colour differences, (H, W, 3)."""
     import cv2
 
     if picture.ndim == 2:
@@ -145,7 +145,7 @@ def _lab(picture: Picture) -> Picture:
 
 
 def _merged(segments: Array, contrasts: Array) -> list[Line]:
-    """Gather segments that lie on one line, beginning with the longest."""
+    """Merge segments that lie on one line, beginning with the longest."""
     along = segments[:, 1] - segments[:, 0]
     lengths = np.linalg.norm(along, axis=1)
     angles = np.arctan2(along[:, 1], along[:, 0])
@@ -175,7 +175,7 @@ def _merged(segments: Array, contrasts: Array) -> list[Line]:
 
 
 def _through(segments: Array, lengths: Array) -> tuple[Array, Array]:
-    """Return middle and direction of the line through segments, the long ones counting more."""
+    """Fit a line to segments, weighted by length; return its middle and direction."""
     ends = segments.reshape(-1, 2)
     weights = np.repeat(lengths, 2)
     middle = weights @ ends / weights.sum()
@@ -186,7 +186,7 @@ def _through(segments: Array, lengths: Array) -> tuple[Array, Array]:
 
 
 def _union(spans: Array) -> Array:
-    """Return intervals (N, 2) with those joined that overlap, sorted."""
+    """Merge overlapping intervals (N, 2); return them sorted."""
     joined: list[list[float]] = []
     for begin, end in spans[np.argsort(spans[:, 0], kind="stable")].tolist():
         if joined and begin <= joined[-1][1]:

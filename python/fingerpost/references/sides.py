@@ -1,8 +1,8 @@
-"""The sides of a quadrilateral in a picture, and its corners where they meet.
+"""The sides of a quadrilateral in a picture, and its corners as their intersections.
 
-Edges are located along each side over its whole visible length, a line is fitted to them, robustly,
-and neighbouring lines are intersected: a corner may be rounded, covered or outside of the picture.
-A lens is taken out of the edges before lines are fitted, for only then are the sides straight.
+Edges are located along the visible length of each side, a line is fitted to them robustly, and
+neighbouring lines are intersected: a corner may be rounded, covered or outside the picture. Edges
+are undistorted before lines are fitted, because only then are the sides straight.
 """
 
 from __future__ import annotations
@@ -22,46 +22,46 @@ Picture = NDArray[np.uint8]
 
 INSET = 0.04
 INSET_PX = 2.0
-"""Parts of a side next to its corners that are not looked at: they may be rounded, and the other
-side's edge is near."""
+"""Parts of a side next to its corners that are not used [share of the side, px]: corners may be
+rounded, and the other side's edge is near."""
 
 LEAST_CONTRAST = 3.0
-"""The least step of an edge [grey levels]; what is noise then lies on no line."""
+"""Least step of an edge [grey levels]; noise above it does not lie on a line."""
 
 SEEN_STEPS = 129
-"""Places along a side that are asked whether they lie in the picture."""
+"""Number of points along a side that are tested for lying in the picture."""
 
 BORDER_PX = 1.0
 CURVE_POINTS = 9
 
 LEAST_EDGES = 8
-"""Edges without which there is no side."""
+"""Least number of edges of a side."""
 
 MODEL_SIGMA_PX = 0.002
-"""What a corner is off by besides: edges of a blurred picture are no steps of a model."""
+"""Additional standard deviation of a corner: blurred edges deviate from the step model."""
 
 SAME_WAY = 0.8
-"""Part of a side's edges that step the same way, if all of the side does."""
+"""Least share of a side's edges with the same sign for which the side has that sign."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """A quadrilateral as its sides show it.
+    """A quadrilateral measured by its sides.
 
     Attributes
     ----------
     corners_px
-        (4, 2) Where neighbouring sides meet, as the picture shows it [px].
+        (4, 2) Intersections of neighbouring sides, with lens distortion [px].
     covariance
-        (8, 8) Of u and v of the corners, one after the other [px²]: neighbours share a side.
+        (8, 8) Joint covariance of u and v of each corner in turn [px²]: neighbours share a side.
     steps
-        (4,) How grey levels step from outside to inside across each side, as a median.
+        (4,) Median step of grey levels from outside to inside across each side.
     shares
-        (4,) The part of the stretches of each side that lie on its line.
+        (4,) Share of the stretches of each side that lie on its line.
     seen_px
-        (4,) How long a part of each side is in the picture [px].
+        (4,) Length of each side within the picture [px].
     rms_px
-        (4,) Root mean square of what edges are off their lines [px].
+        (4,) Root mean square residual of the edges from their lines [px].
     """
 
     corners_px: Array
@@ -73,13 +73,13 @@ class Sides:
 
     @property
     def support(self) -> float:
-        """The part of the outline in the picture that shows an edge, 0 to 1."""
+        """Share of the outline within the picture that has an edge, 0 to 1."""
         return float(self.shares @ self.seen_px / self.seen_px.sum())
 
     def ordered(self, corners: NDArray[np.intp]) -> Sides:
-        """Return the same with its corners in another order, round it one way or the other."""
+        """Return the quadrilateral with another first corner or sense of rotation."""
         entries = (2 * corners[:, None] + [0, 1]).ravel()
-        # Side k runs from corner k to the next one; the other way round, to the one before.
+        # Side k runs from corner k to the next one; in reverse order, to the previous one.
         forward = (corners[1] - corners[0]) % 4 == 1
         sides = corners if forward else np.roll(corners, -1)
         return Sides(
@@ -109,32 +109,32 @@ def fit_sides(
     steps: Array | None = None,
     inset: float = INSET,
 ) -> Sides | None:
-    """Fit lines to the sides of a quadrilateral that is known to some pixels.
+    """Fit lines to the sides of a quadrilateral that is known to a few pixels.
 
     Parameters
     ----------
     picture
-        (H, W) Levels in which its sides show.
+        (H, W) Levels in which its sides are visible.
     corners_px
-        (4, 2) About where its corners are, one after the other; may lie outside.
+        (4, 2) Approximate corners, in order; may lie outside the picture.
     lens
-        The view's distortion, if it is known.
+        The view's distortion, if known.
     reach_px
-        How far from there the sides may be, 0.5 to 100 [px].
+        Greatest distance of the sides from there, 0.5 to 100 [px].
     steps
-        (4,) The sign of each side's step from outside to inside, if that is known; 0 where not.
+        (4,) Sign of each side's step from outside to inside; 0 if unknown.
     inset
-        The part of a side next to each corner that is not looked at, 0 to 0.4.
+        Share of a side next to each corner that is not used, 0 to 0.4.
 
     Returns
     -------
     Sides or None
-        None where too little of a side shows, or sides do not meet.
+        None if too little of a side is visible, or sides do not intersect.
     """
     ideal = corners_px if lens is None else lens.undistort(corners_px)
     if not np.isfinite(ideal).all():
         return None
-    # Normals of `edges_along` lead inwards if the corners run clockwise in the picture.
+    # Normals of `edges_along` point inwards if the corners run clockwise in the picture.
     turn = 1.0 if signed_area(ideal) > 0.0 else -1.0
     signs = np.zeros(4) if steps is None else np.sign(steps) * turn
     found = []
@@ -150,7 +150,7 @@ def fit_sides(
 def refined(
     picture: Picture, corners_px: Array, lens: Lens | None = None, *, reach_px: float
 ) -> Sides | None:
-    """Fit sides from a rough guess: by the strongest edges first, then by those nearest to them."""
+    """Fit sides from a rough guess: first by the strongest edges, then by those nearest to them."""
     rough = fit_sides(picture, corners_px, lens, reach_px=reach_px)
     if rough is None:
         return None
@@ -181,7 +181,7 @@ def _fit_side(
 
 
 def _visible(shape: tuple[int, ...], ends: Array, lens: Lens | None, inset: float) -> Array | None:
-    """Return the part of a side that the picture shows, from end to end; None if there is none."""
+    """Return the ends of a side's part within the picture; None if there is none."""
     along = ends[1] - ends[0]
     length_px = float(np.hypot(*along))
     inset = min(inset + INSET_PX / max(length_px, 1.0), 0.4)
@@ -228,9 +228,9 @@ def _joined(sides: list[_Side], turn: float, lens: Lens | None) -> Sides | None:
 
 
 def as_shown(ideal_px: Array, covariance: Array, lens: Lens | None) -> tuple[Array, Array] | None:
-    """Return ideal pixels (N, 2) and their covariance (2N, 2N) as a lens shows them.
+    """Distort ideal pixels (N, 2) and their covariance (2N, 2N) by a lens.
 
-    None where it shows one of them nowhere.
+    None if one of them is outside its domain.
     """
     if lens is None:
         return ideal_px, covariance
@@ -242,7 +242,7 @@ def as_shown(ideal_px: Array, covariance: Array, lens: Lens | None) -> tuple[Arr
 
 
 def _meet(before: LineFit, after: LineFit) -> tuple[Array, Array, Array] | None:
-    """Return where two lines meet and how that changes with offset and angle of each, (2, 2)."""
+    """Return the intersection of two lines and its Jacobians by offset and angle of each (2, 2)."""
     lines = (before, after)
     directions = np.array([[np.cos(line.angle_rad), np.sin(line.angle_rad)] for line in lines])
     normals = np.stack([-directions[:, 1], directions[:, 0]], axis=1)

@@ -7,8 +7,8 @@ corners, are tracked by optical flow (Lucas & Kanade 1981; pyramids: Bouguet 200
 cell of the image is sampled, so that a hand with many corners cannot pass for a camera motion.
 
 The corners detect the motion and give an initial estimate. From then on every frame is registered
-(`registration`), until the plane is back at its first position. Where registration fails, the
-camera is adrift: no point is better than a wrong one.
+(`registration`), until the plane is back at its first position. If registration fails, the camera
+is adrift and its view gives no line: no point is better than a wrong one.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LARGEST_PX = 1280
 """Images with a longer side are tested at a reduced size."""
 
 MAX_WIDTH_PX = 320
-"""Wider images are halved until they are not; all lengths below are of the reduced image."""
+"""Images are halved until they are no wider; all lengths below are of the reduced image."""
 
 MAX_CORNERS_PER_CELL = 6
 MIN_CORNER_STRENGTH = 1.5
@@ -127,11 +127,11 @@ class ReferenceWatch:
 
     @property
     def is_adrift(self) -> bool:
-        """Whether the camera has moved, or was away, and it is not known where it is."""
+        """Whether the camera has moved or was disconnected, and its homography is unknown."""
         return self._watch.is_adrift
 
     def doubt(self) -> None:
-        """Hold the camera adrift until the plane is seen again: it was away, or is another."""
+        """Treat the camera as adrift until the plane is confirmed: it may have been replaced."""
         self._watch.doubt()
 
     @property
@@ -209,7 +209,7 @@ class _Watch:
 
     @property
     def is_adrift(self) -> bool:
-        """Whether the camera has moved, or was away, and it is not known where it is."""
+        """Whether the camera has moved or was disconnected, and its homography is unknown."""
         return self._is_doubted or (self.motion is None and self.moved_px > ADRIFT_PX)
 
     def doubt(self) -> None:
@@ -276,7 +276,7 @@ class _Watch:
         if self.motion is not None:
             self._last_px = self._shown(self._corners_px, self._further @ self._now_from_first)
         now = _halved(grey, self._halves)
-        # A camera that was away may come back in another light, or with another exposure.
+        # A reconnected camera may have another exposure, or the light may have changed.
         here_px, is_sure = self._followed(_relit(now, self._first) if self._is_doubted else now)
         is_sure &= ~self._is_hand
         if hand is not None:

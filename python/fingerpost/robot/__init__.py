@@ -1,9 +1,9 @@
-"""Robots that go where the hand points.
+"""Robots that move to the indicated point.
 
-`open_robot` makes one by name; every one of them is a `Robot`: metres, radians, a typed error for
-everything that can go wrong, and a `stop` that nothing delays. `Guard` lets pass only what is safe,
-`Follower` follows the hand, and `PickPlace` carries a block. What goes on inside a driver is in
-`fingerpost.robot.arm`; emulated controllers to try it on are in `fingerpost.robot.emulator`.
+`open_robot` makes one by name. All of them implement `Robot`: metres, radians, a typed error for
+every failure, and a `stop` that nothing delays. `Guard` passes only safe commands, `Follower`
+follows the hand, and `PickPlace` carries a block. The common part of the drivers is in
+`fingerpost.robot.arm`; emulated controllers for tests are in `fingerpost.robot.emulator`.
 """
 
 from fingerpost.robot.errors import (

@@ -1,14 +1,14 @@
-"""ACL, the command language of the Scorbot's Controller-A: its words, and its framing on a line.
+"""ACL, the command language of the Scorbot's Controller-A: its vocabulary, and its framing.
 
-Facts from the ACL Reference Guide for Controller-A (Eshed Robotec, catalogue number 100083) and
-from public programs that talk to it. In DIRECT mode the controller echoes what it is sent (unless
-switched off), carries a command out at its CR and ends the answer with a line that holds only the
-prompt `>`. Spacing and case of answers vary, long listings stop at `Type <cr>`, and an error is a
-line that begins with `***`, at any time.
+Sources: the ACL Reference Guide for Controller-A (Eshed Robotec, catalogue number 100083) and
+public programs that use it. In DIRECT mode the controller echoes its input (unless switched off),
+executes a command at its CR and ends the answer with a line that contains only the prompt `>`.
+Spacing and case of answers vary, long listings stop at `Type <cr>`, and an error is a line that
+begins with `***`, at any time.
 
-Nothing of an answer is believed that does not fit as a whole. The echo of the command is the
-anchor: what stands before it belongs to something earlier. A controller that cannot be made to echo
-leaves no anchor; there the answer ends with the prompt and a silence.
+An answer is only used if it matches as a whole. The echo of the command is the anchor: text before
+it belongs to an earlier command. If a controller cannot be made to echo, there is no anchor; the
+answer then ends with the prompt and a silence.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from fingerpost.robot.errors import (
 from fingerpost.robot.serial_line import SerialLine
 
 ABORT = b"\x01\x01A\r"
-"""Ctrl-A, which needs no CR and acts in the middle of a line, and then the command of that name.
+"""Ctrl-A, which needs no CR and acts in the middle of a line, followed by the command `A`.
 
-Twice, so that one byte lost to noise does not lose it. Should the controller keep a half-sent line
-in spite of it, the letter spoils that line: no command becomes another valid motion by an A at its
-end."""
+Ctrl-A is sent twice, in case noise destroys one byte. If the controller keeps a partial line
+nevertheless, the letter invalidates it: no command becomes another valid motion by an A at its end.
+"""
 
 AXES = ("X", "Y", "Z", "P", "R")
 """The Cartesian coordinates of a position, in 0.1 mm and 0.1°."""
@@ -51,29 +51,29 @@ FAULTS = {
 """Errors by the controller's number."""
 
 ARM_FAULTS = frozenset({53, 55, 304})
-"""Errors after which the arm must be seen to."""
+"""Errors after which a person must check the arm."""
 
 OUT_OF_REACH = frozenset({54, 312, 317})
-"""Errors that blame the goal."""
+"""Errors caused by the goal."""
 
 UNASKED = ARM_FAULTS | {54}
-"""Errors that come by themselves: from the arm, or from a queued move whose turn has come."""
+"""Unsolicited errors: of the arm, or of a queued move when it starts."""
 
 
 CLRCOM_ATTEMPT = 2
-"""From this attempt to find the prompt on, a silent controller is sent `CLRCOM`."""
+"""Attempt to find the prompt from which a silent controller is sent `CLRCOM`."""
 
 
 @dataclass(frozen=True, slots=True)
 class AclError:
-    """An error line: its number and axis where it names them, and its text."""
+    """An error line: its number and axis, if it names them, and its text."""
 
     number: int | None
     axis: int | None
     text: str
 
     def exception(self) -> RobotError:
-        """Return the exception that says the same."""
+        """Return the corresponding exception."""
         meaning = FAULTS.get(self.number or 0, "error")
         message = f"controller: {meaning}: {self.text!r}"
         if self.number in OUT_OF_REACH:
@@ -85,7 +85,7 @@ class AclError:
 
 @dataclass(frozen=True, slots=True)
 class AclPosition:
-    """A position as the controller lists it.
+    """A position in the controller's representation.
 
     Attributes
     ----------
@@ -135,12 +135,12 @@ def _number_of(words: str) -> int | None:
 
 
 def parse_position(text: str) -> AclPosition:
-    """Read a `LISTPV` answer by its labels.
+    """Parse a `LISTPV` answer by its labels.
 
     Raises
     ------
     GarbledReplyError
-        A label is missing, doubled or out of order, or something else stands between the numbers.
+        A label is missing, repeated or out of order, or there is other text between the numbers.
     """
     joints, cartesian = _JOINTS.findall(text), _CARTESIAN.findall(text)
     if len(joints) != 1 or len(cartesian) != 1 or _UNPRINTABLE.search(text):
@@ -150,7 +150,7 @@ def parse_position(text: str) -> AclPosition:
 
 @dataclass(frozen=True, slots=True)
 class AclTiming:
-    """How long the controller may take.
+    """Time limits of the controller.
 
     Attributes
     ----------
@@ -158,8 +158,8 @@ class AclTiming:
         Longest time from a command to the end of its answer [s]. At 9600 baud a listing of 100
         characters alone takes 0.1 s.
     quiet_s : float
-        Silence after a prompt that has no echo before it [s]; longer than the gap between two
-        characters, and than the latency timer of a USB adapter (16 ms).
+        Silence that confirms a prompt without an echo before it [s]; longer than the gap between
+        two characters, and than the latency timer of a USB adapter (16 ms).
     resync_s : float
         Longest time to find the prompt again [s].
     """
@@ -179,9 +179,9 @@ class Conversation:
     timing : AclTiming
         Time-outs.
     tagged : bool
-        Number the commands by the case of their first word's letters (`lISTPV`, `LiSTPV`, …).
-        ACL does not mind the case but echoes it, so a late answer to an earlier command cannot
-        pass for the answer to a later one of the same words.
+        Whether to number commands by the case of their first word's letters (`lISTPV`, `LiSTPV`,
+        …). ACL ignores the case but echoes it, so a late answer to an earlier command cannot be
+        mistaken for that to a later, identical one.
     clock : callable
         Monotonic time [s].
     """
@@ -200,28 +200,28 @@ class Conversation:
         self._clock = clock
         self._echo = True
         self._tag = 0
-        self._disturbance_numbers = itertools.count(1)  # another thread's stop disturbs too
+        self._disturbance_numbers = itertools.count(1)  # another thread's stop disturbs as well
         self._disturbances = next(self._disturbance_numbers)
         self._synchronous_since = 0
         self._abort_again = False
 
     def disturb(self, *, aborted: bool = False) -> None:
-        """Make the next command look for the prompt first.
+        """Make the next command search for the prompt first.
 
         Parameters
         ----------
         aborted : bool
-            An abort has been sent; it is repeated then, as noise may have eaten it.
+            Whether an abort has been sent; it is then repeated, as noise may have destroyed it.
         """
         self._disturbances = next(self._disturbance_numbers)
         self._abort_again |= aborted
 
     def synchronise(self, check: Callable[[], None]) -> None:
-        """Find the prompt again if it has been lost; see `ask` for what it raises.
+        """Find the prompt again if it has been lost; for exceptions see `ask`.
 
-        Empty lines get the controller out of a question (`X --[200] >`) or a half-read listing; if
-        it stays silent, `CLRCOM` frees a port that an XOFF has stopped. It is also found out
-        whether it echoes; one that does not is switched to it.
+        Empty lines end a question of the controller (`X --[200] >`) or a listing. If it stays
+        silent, `CLRCOM` frees a port that an XOFF has stopped. The echo is also tested, and
+        switched on if it is off.
         """
         disturbances = self._disturbances
         if self._synchronous_since == disturbances:
@@ -251,23 +251,23 @@ class Conversation:
         command : str
             The command, without CR.
         check : callable
-            Called every few milliseconds; what it raises ends the wait.
+            Called every few milliseconds; an exception ends the wait.
         send : callable, optional
             Sends the bytes; the line's own `send` by default.
 
         Raises
         ------
         RobotFaultError, OutOfReachError, CommandRefusedError
-            The answer is an error, or the arm has had one of its own.
+            The answer is an error, or the arm has reported one.
         RobotTimeoutError
             No answer.
         GarbledReplyError
-            An answer, but not to this command, or with noise in it.
+            An answer to another command, or with noise.
         """
         self.synchronise(check)
         self._raise_unasked(_text(self._line.drain()))
         disturbances = self._disturbances
-        self._synchronous_since = 0  # until the answer has come whole
+        self._synchronous_since = 0  # until the answer is complete
         command = self._with_tag(command)
         (send or self._line.send)(command.encode("ascii") + b"\r")
         answer = self._answer(command, check)
@@ -286,20 +286,20 @@ class Conversation:
         send: Callable[[bytes], None],
         on_line: Callable[[str], None],
     ) -> str:
-        """Send a command and listen until a text comes, however long it takes.
+        """Send a command and read until a text is received, without a time limit.
 
         Parameters
         ----------
         command : str
             The command, without CR.
         ends : pattern
-            What ends it.
+            The text that ends it.
         check : callable
-            Called every few milliseconds; what it raises (a time-out too) ends the wait.
+            Called every few milliseconds; an exception (such as a time-out) ends the wait.
         send : callable
             Sends the bytes.
         on_line : callable
-            Called with every line that comes, and once a second with an empty one.
+            Called with every line received, and once a second with an empty one.
 
         Raises
         ------
@@ -327,22 +327,22 @@ class Conversation:
                 return found[0]
 
     def _find_prompt(self, check: Callable[[], None]) -> str:
-        """Send empty lines until the prompt shows; return all that was heard."""
+        """Send empty lines until there is a prompt; return all text received."""
         end_s = self._clock() + self._timing.resync_s
-        heard, attempt = "", 0
+        received, attempt = "", 0
         while self._clock() < end_s:
             attempt += 1
-            self._line.send(b"\r" if heard or attempt < CLRCOM_ATTEMPT else b"CLRCOM\r")
+            self._line.send(b"\r" if received or attempt < CLRCOM_ATTEMPT else b"CLRCOM\r")
             answer = self._until_quiet(check)
-            heard += answer
+            received += answer
             if _PROMPT.search(answer):
-                return heard
-        self._raise_unasked(heard)
-        kind = GarbledReplyError if heard.strip() else RobotTimeoutError
-        raise kind(f"no prompt from the controller; it sent {heard[-80:]!r}")
+                return received
+        self._raise_unasked(received)
+        kind = GarbledReplyError if received.strip() else RobotTimeoutError
+        raise kind(f"no prompt from the controller; it sent {received[-80:]!r}")
 
     def _echoes(self, check: Callable[[], None]) -> bool:
-        """Tell whether the controller returns what it is sent, by a harmless command."""
+        """Test by a harmless command whether the controller echoes its input."""
         probe = self._with_tag("LISTPV POSITION")
         self._line.send(probe.encode("ascii") + b"\r")
         answer = self._until_quiet(check)
@@ -350,7 +350,7 @@ class Conversation:
         return probe in answer
 
     def _answer(self, command: str, check: Callable[[], None]) -> str:
-        """Return what comes between a command's echo and the prompt."""
+        """Return the text between a command's echo and the prompt."""
         text = ""
         last_s = self._clock()
         end_s = last_s + self._timing.reply_s
@@ -378,7 +378,7 @@ class Conversation:
                 raise GarbledReplyError(f"{command}: no prompt after {text!r}")
 
     def _until_quiet(self, check: Callable[[], None]) -> str:
-        """Listen until nothing more comes, but no longer than for one answer."""
+        """Read until there is a silence, at most for the time of one answer."""
         text, last_s = "", self._clock()
         end_s = last_s + self._timing.reply_s
         while self._clock() < end_s:
@@ -391,7 +391,7 @@ class Conversation:
         return text
 
     def _paged(self, text: str) -> str:
-        """Turn the page when a listing stops at its foot."""
+        """Request the next page if a listing stops at the end of one."""
         if not _PAGE.search(text):
             return text
         self._line.send(b"\r")
@@ -401,7 +401,7 @@ class Conversation:
         if not self._tagged:
             return command
         word, space, rest = command.partition(" ")
-        self._tag += 1  # bit by bit, as many as the word has letters
+        self._tag += 1  # one bit per letter of the word
         letters = (
             letter.lower() if self._tag >> place & 1 else letter
             for place, letter in enumerate(word)
@@ -409,12 +409,12 @@ class Conversation:
         return "".join(letters) + space + rest
 
     def _raise_unasked(self, text: str) -> None:
-        """Raise what the arm has said of itself, in a text that answers nothing."""
+        """Raise unsolicited errors of the arm in a text that is not an answer."""
         for error in find_errors(text):
             if error.number in UNASKED:
                 raise error.exception()
 
 
 def _text(data: bytes) -> str:
-    """Decode byte by byte: noise must stay where it is, not swallow its neighbours."""
+    """Decode each byte separately, so that noise does not affect its neighbours."""
     return data.decode("latin-1")

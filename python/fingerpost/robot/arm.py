@@ -1,15 +1,15 @@
-"""The bookkeeping of every driver: order, readiness, arrival, and a stop that nothing delays.
+"""Common part of all drivers: order, readiness, arrival, and a stop that nothing delays.
 
-A driver says how its controller opens, homes, starts a move, reports its pose and stops; `Arm` says
-when it may. Three rules hold for all of them:
+A driver implements how its controller opens, homes, starts a move, reports its pose and stops;
+`Arm` decides when. Three rules hold for all of them:
 
-* A command counts the stops made before it came. If the count has changed when its turn comes, it
-  is void (`StoppedError`): after `stop`, nothing that waited moves the arm.
-* `stop` waits for nobody. A command that starts motion looks at the count again after its bytes
-  have gone out, under the lock that `stop` tries for a moment only; so a stop that overtakes the
-  command is repeated after it.
-* A command that fails in any way stops the arm before its error is raised, an interrupt from the
-  keyboard included.
+* A command stores the number of earlier stops when it is called. If the number has changed when its
+  turn comes, it is void (`StoppedError`): after `stop`, no waiting command moves the arm.
+* `stop` never waits. A command that starts motion checks the number again after its bytes have been
+  sent, under a lock that `stop` tries only for a moment; a stop that overtakes the command is
+  therefore repeated after it.
+* A command that fails in any way, including a keyboard interrupt, stops the arm before its error is
+  raised.
 """
 
 from __future__ import annotations
@@ -58,37 +58,37 @@ from fingerpost.robot.shape import ArmShape
 logger = logging.getLogger(__name__)
 
 STOP_PATIENCE_S = 0.002
-"""How long `stop` lets a command finish its own write; the stop itself has 20 ms in all."""
+"""Time that `stop` leaves a command to finish its own write [s]; the stop has 20 ms in all."""
 
 SLICE_S = 0.02
-"""Every wait looks this often whether it has been stopped."""
+"""Interval at which every wait checks for a stop [s]."""
 
 READING_TIMEOUT_S = 10.0
-"""A pose is read within this, waiting behind another command included [s]."""
+"""Time limit to read a pose, including the wait for another command [s]."""
 
 MOVE_MARGIN_S = 5.0
-"""Added to three times a move's own time when no time-out is given [s]."""
+"""Added to three times a move's own duration for the default time-out [s]."""
 
 GRIPPER_TIMEOUT_S = 10.0
-"""A gripper has moved within this [s]."""
+"""Time limit of a motion of the gripper [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArrivalRule:
-    """When an arm counts as standing at its goal.
+    """Conditions under which an arm stands at its goal.
 
     Attributes
     ----------
     poll_s : float
         Pause between two readings of the pose [s], ≥ 0.
     still_m, still_rad : float
-        Readings no further from the first of them than this are the same place [m, rad].
+        Greatest distance from the first of a series of readings at which they are equal [m, rad].
     near_m, near_rad : float
-        A standing arm this near its goal has arrived [m, rad].
+        Greatest distance of a standing arm from its goal at which it has arrived [m, rad].
     readings : int
-        So many equal readings in a row mean that it stands, ≥ 2.
+        Number of consecutive equal readings that mean that it stands, ≥ 2.
     stall_s : float
-        Standing elsewhere for this long means that it will not arrive [s].
+        Time standing elsewhere after which it will not arrive [s].
     """
 
     poll_s: float = 0.05
@@ -106,29 +106,29 @@ class ArrivalRule:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """One command's place in the order: the stops counted before it, and when it must be done."""
+    """One command: the number of stops before it, and its deadline."""
 
     stops: int
     deadline_s: float
 
 
 class Arm(ABC):
-    """Base of the drivers; implements `fingerpost.robot.protocol.Robot` over a few hooks.
+    """Base class of the drivers; implements `fingerpost.robot.protocol.Robot` by a few hooks.
 
     Parameters
     ----------
     limits : Limits or None
-        What may be asked; None refuses every motion.
+        Limits of commands; None refuses every motion.
     arrival : ArrivalRule
-        When a move has ended.
+        Conditions for the end of a move.
     clock : callable
         Monotonic time [s].
     sleep : callable
-        Waits for so many seconds of that clock.
+        Waits for a time on that clock [s].
     """
 
     shape: ArmShape | None = None
-    """The arm's build, for drivers that know it; others are taken for the usual one."""
+    """Shape of the arm, for drivers that know it; otherwise the usual one is assumed."""
 
     def __init__(
         self,
@@ -144,22 +144,22 @@ class Arm(ABC):
         self._sleep_for = sleep
         self._motion_lock = threading.Lock()  # one motion at a time
         self._exchange_lock = threading.Lock()  # one command and its answer at a time
-        self._issue_lock = threading.Lock()  # held while the bytes that start a motion go out
+        self._issue_lock = threading.Lock()  # held while the bytes that start a motion are sent
         self._stop_numbers = itertools.count(1)
         self._stops = 0
         self._state = RobotState.DISCONNECTED
         self._homed = False
-        self._home_lost = ""  # why it is not homed any more
+        self._home_lost = ""  # why it is no longer homed
         self._fault: str | None = None
         self._goal: Pose | None = None
-        self._due_s = 0.0  # when the arm must have come to its goal
+        self._due_s = 0.0  # time by which the arm must have reached its goal
         self._last_pose: Pose | None = None
 
-    # What a driver provides. Each raises a RobotError, and none waits past the turn's deadline.
+    # Hooks of a driver. Each raises a RobotError, and none waits past the turn's deadline.
 
     @abstractmethod
     def _open(self) -> None:
-        """Open the connection and stop whatever moves."""
+        """Open the connection and stop any motion."""
 
     @abstractmethod
     def _close(self) -> None:
@@ -171,7 +171,7 @@ class Arm(ABC):
 
     @abstractmethod
     def _start_move(self, pose: Pose, speed_m_s: float, turn: Turn) -> None:
-        """Start a straight move; send what starts it through `_issue`."""
+        """Start a straight move; send the bytes that start it through `_issue`."""
 
     @abstractmethod
     def _read_pose(self, turn: Turn) -> Pose:
@@ -179,14 +179,14 @@ class Arm(ABC):
 
     @abstractmethod
     def _send_stop(self) -> None:
-        """Send the stop past every queue, without waiting for an answer."""
+        """Send the stop, bypassing every queue, without waiting for an answer."""
 
     @abstractmethod
     def _move_gripper(self, opening: float, turn: Turn) -> None:
         """Set the gripper to a share of its opening and wait until it is there."""
 
     def _advice(self, error: RobotError) -> str:
-        """Return what else is known of why a command failed; a driver may know nothing."""
+        """Return further information on why a command failed; may be empty."""
         del error
         return ""
 
@@ -194,21 +194,20 @@ class Arm(ABC):
 
     @property
     def limits(self) -> Limits | None:
-        """What may be asked of this robot."""
+        """Limits of commands to this robot."""
         return self._limits
 
     def connect(self) -> None:
-        """Open the connection; whatever still moves is stopped.
+        """Open the connection; stop any motion.
 
-        Afterwards the robot counts as not homed, whatever it was before: nobody saw what happened
-        to it in between.
+        Afterwards the robot counts as not homed, because its state while disconnected is unknown.
 
         Raises
         ------
         ConnectionLostError
             The port cannot be opened.
         RobotTimeoutError, GarbledReplyError
-            It opens, but nothing sensible answers.
+            It opens, but there is no valid answer.
         """
         with self._motion_lock, self._exchange_lock:
             self._forget()
@@ -221,12 +220,12 @@ class Arm(ABC):
             self._state = RobotState.NOT_HOMED
 
     def reconnect(self, *, timeout_s: float = 10.0) -> None:
-        """Try `connect` until it works, as after a cable has been pulled and put back.
+        """Repeat `connect` until it succeeds, for example after a cable was disconnected.
 
         Raises
         ------
         RobotError
-            The last attempt's error, when none has worked within `timeout_s`.
+            The error of the last attempt, if none has succeeded within `timeout_s`.
         """
         deadline_s = self._clock() + _span_s(timeout_s)
         while True:
@@ -258,14 +257,14 @@ class Arm(ABC):
         self.close()
 
     def home(self, progress: HomingCallback | None = None, *, timeout_s: float = 180.0) -> None:
-        """Let every axis find its home position. The arm moves.
+        """Home every axis. The arm moves.
 
         Parameters
         ----------
         progress : callable, optional
-            Called with a `HomingProgress` for every line the controller sends and once a second.
+            Called with a `HomingProgress` for every line of the controller and once a second.
         timeout_s : float
-            Given up and stopped after this [s].
+            Time limit, after which the arm is stopped [s].
 
         Raises
         ------
@@ -276,11 +275,11 @@ class Arm(ABC):
         StoppedError
             Stopped meanwhile.
         InvalidInputError
-            A time-out that is no number from 0.
+            A time-out that is not a number from 0.
         """
         start_s = self._clock()
         turn = Turn(self._stops, start_s + _span_s(timeout_s))
-        tell = progress or (lambda _: None)
+        report = progress or (lambda _: None)
         with self._waiting(self._motion_lock, turn), self._waiting(self._exchange_lock, turn):
             self._need_connection()
             self._homed, self._goal = False, None
@@ -288,20 +287,20 @@ class Arm(ABC):
             with self._failing_safely():
                 self._home(
                     turn,
-                    lambda text: tell(HomingProgress(self._clock() - start_s, timeout_s, text)),
+                    lambda text: report(HomingProgress(self._clock() - start_s, timeout_s, text)),
                 )
             self._homed, self._home_lost, self._fault = True, "", None
             self._state = RobotState.IDLE
 
     def pose(self) -> Pose:
-        """Read where the gripper is.
+        """Read the pose of the gripper.
 
         Raises
         ------
         NotHomedError
-            The controller's numbers mean nothing before homing.
+            The controller's numbers are meaningless before homing.
         RobotTimeoutError, GarbledReplyError, ConnectionLostError
-            No reading that can be believed.
+            No valid reading.
         """
         self._need_homing()
         with self._explaining():
@@ -323,27 +322,27 @@ class Arm(ABC):
         Parameters
         ----------
         pose : Pose
-            The goal, inside `limits`; angles left None stay as they are.
+            The goal, inside `limits`; angles that are None are kept.
         speed_m_s : float, optional
             Speed of the gripper [m/s]; the limit by default and at most.
         wait : bool
-            Return when the arm stands at the goal, rather than when the move has been accepted.
+            Whether to return when the arm stands at the goal, not when the move has been accepted.
         timeout_s : float, optional
-            Time from this move's turn to its end [s], what is queued before it included; by
-            default three times what all of it should take, and 5 s for each.
+            Time from this move's turn to its end, including queued moves [s]; by default three
+            times their expected duration, and 5 s for each.
 
         Raises
         ------
         NotReadyError
             Not connected, no limits, not homed, or a fault not yet cleared by homing.
         OutOfReachError
-            Outside `limits`, or the controller says so.
+            Outside `limits`, or outside the controller's reach.
         RobotTimeoutError, NotArrivedError, RobotFaultError, GarbledReplyError, ConnectionLostError
             The move failed; the arm has been stopped.
         StoppedError
             `stop` was called after this call.
         InvalidInputError
-            A speed or time-out that is none.
+            An invalid speed or time-out.
         """
         stops = self._stops
         limits = self._need_limits()
@@ -353,7 +352,7 @@ class Arm(ABC):
             timeout_s = _span_s(timeout_s)
         self._need_homing()
         with self._waiting(self._motion_lock, Turn(stops, math.inf)):
-            self._need_homing()  # what went before may have failed
+            self._need_homing()  # an earlier command may have failed
             turn = Turn(stops, self._due(pose, speed, timeout_s))
             with self._failing_safely():
                 with self._waiting(self._exchange_lock, turn):
@@ -369,7 +368,7 @@ class Arm(ABC):
         Parameters
         ----------
         timeout_s : float, optional
-            Longest wait [s]; by default what the queued moves were given.
+            Longest wait [s]; by default the time limit of the queued moves.
 
         Raises
         ------
@@ -380,19 +379,19 @@ class Arm(ABC):
         if timeout_s is not None:
             timeout_s = _span_s(timeout_s)
         with self._waiting(self._motion_lock, Turn(stops, math.inf)):
-            self._need_homing()  # a fault that was seen meanwhile has ended the motion
+            self._need_homing()  # a fault detected meanwhile has ended the motion
             with self._failing_safely():
                 self._finish_motion(stops, timeout_s)
 
     def gripper(self, target: GripperTarget) -> None:
         """Open or close the gripper, or set its width [m], and wait until it has moved.
 
-        A move that still runs is waited for first: nothing is gripped on the way.
+        It first waits for a running move, so that the gripper never acts during motion.
 
         Raises
         ------
         GripperError
-            There is none, or it cannot be set to a width.
+            No gripper, or one that cannot be set to a width.
         NotReadyError, RobotError
             As for `move_to`.
         """
@@ -408,10 +407,10 @@ class Arm(ABC):
                     self._move_gripper(opening, turn)
 
     def stop(self) -> None:
-        """Stop all motion at once and void every command that waits.
+        """Stop all motion at once and void every waiting command.
 
-        May be called from any thread and from a signal handler. It takes no lock for longer than
-        `STOP_PATIENCE_S` and waits for no answer.
+        May be called from any thread and from a signal handler. It waits for a lock no longer than
+        `STOP_PATIENCE_S`, and for no answer.
 
         Raises
         ------
@@ -430,20 +429,20 @@ class Arm(ABC):
             self._state = RobotState.IDLE if self._homed else RobotState.NOT_HOMED
 
     def status(self) -> RobotStatus:
-        """Tell what is known, without waiting."""
+        """Return the known status, without waiting."""
         return RobotStatus(self._state, self._homed, self._last_pose, self._fault)
 
-    # What drivers use.
+    # Used by drivers.
 
     def _check(self, turn: Turn) -> None:
-        """Raise if a command has been stopped or its time is over."""
+        """Raise if a command has been stopped or its deadline has passed."""
         if self._stops != turn.stops:
             raise StoppedError("stopped while the command waited or ran")
         if self._clock() > turn.deadline_s:
             raise RobotTimeoutError("the command did not end within its time-out")
 
     def _issue(self, send: Callable[[], None], turn: Turn) -> None:
-        """Send what starts a motion so that no stop can be overtaken by it."""
+        """Send the bytes that start a motion, so that they cannot overtake a stop."""
         with self._issue_lock:
             self._check(turn)
             send()
@@ -452,7 +451,7 @@ class Arm(ABC):
                 raise StoppedError("stopped while the command was being sent")
 
     def _pause(self, span_s: float, turn: Turn) -> None:
-        """Wait, but not longer than until a stop or the turn's deadline."""
+        """Wait, at most until a stop or the turn's deadline."""
         end_s = self._clock() + span_s
         while (left_s := end_s - self._clock()) > 0:
             self._check(turn)
@@ -460,14 +459,14 @@ class Arm(ABC):
         self._check(turn)
 
     def _lose_home(self, reason: str) -> None:
-        """Believe no position from here on until the arm has been homed."""
+        """Treat positions as invalid until the arm has been homed."""
         self._homed, self._home_lost = False, reason
 
-    # Inside.
+    # Internals.
 
     @contextmanager
     def _explaining(self) -> Iterator[None]:
-        """Add what else is known to an error that names only what has not happened."""
+        """Add further information to an error that only names a missing event."""
         try:
             yield
         except (RobotTimeoutError, GarbledReplyError, NotArrivedError) as error:
@@ -477,7 +476,7 @@ class Arm(ABC):
 
     @contextmanager
     def _waiting(self, lock: threading.Lock, turn: Turn) -> Iterator[None]:
-        """Hold a lock, unless stopped or late while waiting for it."""
+        """Hold a lock; raise if stopped or late while waiting for it."""
         while not lock.acquire(timeout=SLICE_S):
             self._check(turn)
         try:
@@ -488,7 +487,7 @@ class Arm(ABC):
 
     @contextmanager
     def _failing_safely(self) -> Iterator[None]:
-        """Stop the arm and keep the books when a command fails in any way."""
+        """Stop the arm and update the state if a command fails in any way."""
         try:
             with self._explaining():
                 yield
@@ -513,7 +512,7 @@ class Arm(ABC):
     def _stop_if_possible(self) -> None:
         try:
             self.stop()
-        except Exception as error:  # the error that it is called for is the one to be raised
+        except Exception as error:  # the original error is the one to be raised
             logger.warning("the stop failed: %s", str(error) or type(error).__name__)
 
     def _forget(self) -> None:
@@ -528,7 +527,7 @@ class Arm(ABC):
         try:
             with self._waiting(self._exchange_lock, turn):
                 pose = self._read_pose(turn)
-        except InvalidInputError as error:  # of what was read: not a number, say
+        except InvalidInputError as error:  # in the reading, such as NaN
             raise GarbledReplyError(f"a reading that is no pose: {error}") from error
         except (RobotFaultError, ConnectionLostError):
             with self._failing_safely():
@@ -537,11 +536,11 @@ class Arm(ABC):
         return pose
 
     def _await_arrival(self, goal: Pose, turn: Turn) -> None:
-        """Read the pose until the arm stands, then see whether that is the goal."""
+        """Read the pose until the arm stands, then check whether it is the goal."""
         rule = self._arrival
         still_since_s, readings, stands_at = self._clock(), 0, None
         while True:
-            # An answer may be late: the pose is of some time after this one.
+            # An answer may be late: the pose was taken some time after this.
             asked_s = self._clock()
             pose = self._measured_pose(turn)
             if stands_at is not None and _same(pose, stands_at, rule.still_m, rule.still_rad):
@@ -557,13 +556,13 @@ class Arm(ABC):
             self._pause(rule.poll_s, turn)
 
     def _finish_motion(self, stops: int, timeout_s: float | None = None) -> None:
-        """Wait for the arm to stand at the last commanded pose, if it is under way."""
+        """Wait until the arm stands at the last commanded pose, if it is moving."""
         if self._goal is not None:
             due_s = self._due_s if timeout_s is None else self._clock() + timeout_s
             self._await_arrival(self._goal, Turn(stops, due_s))
 
     def _due(self, pose: Pose, speed_m_s: float, timeout_s: float | None) -> float:
-        """Return when a move must have ended, what is queued before it included [s]."""
+        """Return the deadline of a move, including queued moves [s]."""
         now_s = self._clock()
         if timeout_s is not None:
             self._due_s = now_s + timeout_s
@@ -596,15 +595,15 @@ class Arm(ABC):
 
 
 def _span_s(timeout_s: float) -> float:
-    """Return a time-out; NaN would be one that never comes."""
+    """Return a valid time-out; NaN would never expire."""
     return in_range(timeout_s, "timeout_s", 0.0)
 
 
 def _same(a: Pose, b: Pose, within_m: float, within_rad: float) -> bool:
-    """Whether two poses agree; an angle missing in either does not count.
+    """Whether two poses agree; an angle missing in either is ignored.
 
-    Three angles are compared as one rotation: near the vertical, roll and yaw of the same
-    orientation can be shared out in any way.
+    Three angles are compared as one rotation: near the vertical, roll and yaw of an orientation are
+    not unique.
     """
     if a.distance_m(b) > within_m:
         return False

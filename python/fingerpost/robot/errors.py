@@ -1,6 +1,7 @@
-"""What can go wrong with a robot, one class for each thing a caller can do about it.
+"""Errors of robots, with one class for each reaction of a caller.
 
-Codes, booleans and texts of the controllers all end here: no driver returns a success flag.
+Drivers translate codes, booleans and texts of the controllers into these: none returns a success
+flag.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from fingerpost.errors import FingerpostError
 
 
 class RobotError(FingerpostError):
-    """Base of everything that goes wrong with a robot."""
+    """Base class of the errors of robots."""
 
 
 class OutOfReachError(RobotError, ValueError):
@@ -21,11 +22,11 @@ class NotReadyError(RobotError):
 
 
 class NotHomedError(NotReadyError):
-    """The controller does not know where its axes are: call `home` first."""
+    """The controller does not know the positions of its axes: call `home` first."""
 
 
 class NotArmedError(NotReadyError):
-    """The guard has not been armed, or something has disarmed it since."""
+    """The guard has not been armed, or has been disarmed since."""
 
 
 class RefusedError(RobotError):
@@ -37,15 +38,15 @@ class RobotTimeoutError(RobotError, TimeoutError):
 
 
 class ConnectionLostError(RobotError, ConnectionError):
-    """The port is closed or its cable is out; `connect` opens it again."""
+    """The port is closed or its cable is disconnected; `connect` opens it again."""
 
 
 class PortInUseError(ConnectionLostError):
-    """Another program talks to the robot through the same port: end that one first."""
+    """Another program uses the robot's port: end that one first."""
 
 
 class GarbledReplyError(RobotError):
-    """The controller's answer cannot be read, so nothing of it is believed."""
+    """The controller's answer cannot be parsed, so no part of it is used."""
 
 
 class StoppedError(RobotError):
@@ -53,30 +54,30 @@ class StoppedError(RobotError):
 
 
 class StopFailedError(RobotError):
-    """A stop has not gone through, so the arm may still move: press its emergency stop."""
+    """A stop has not succeeded, so the arm may still move: press its emergency stop."""
 
 
 class NotArrivedError(RobotError):
-    """The arm stands still, but not where it was sent."""
+    """The arm stands still, but not at its goal."""
 
 
 class CommandRefusedError(RobotError):
-    """The controller does not take a command; the arm itself is well."""
+    """The controller refuses a command; the arm itself has no fault."""
 
 
 class GripperError(RobotError):
-    """There is no gripper, or it cannot do what was asked."""
+    """There is no gripper, or it cannot execute the command."""
 
 
 class RobotFaultError(RobotError):
-    """The controller reports a fault of the arm, which homing clears once it has been seen to.
+    """The controller reports a fault of the arm, which homing clears once its cause is removed.
 
     Attributes
     ----------
     number : int or None
-        The controller's own number of the fault, where it gave one.
+        The controller's number of the fault, if any.
     axis : int or None
-        The axis it names, counted as the controller counts.
+        The axis concerned, in the controller's numbering.
     """
 
     def __init__(self, message: str, *, number: int | None = None, axis: int | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Vendors' libraries that not everybody has, and that not everybody wants to hear."""
+"""Import of vendors' optional libraries, without their output."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ logger = logging.getLogger(__name__)
 
 
 def require_silently(module: str, extra: str) -> ModuleType:
-    """Import a vendor's library whose words are not for the program's standard output.
+    """Import a vendor's library without its messages on standard output.
 
-    What it prints, now and later, or logs there, goes to this module's logger instead.
+    Anything that it prints or logs there, now and later, is passed to this module's logger.
 
     Parameters
     ----------
@@ -56,13 +56,13 @@ class _LoggedOutput(io.TextIOBase):
         file: object = None,
         flush: bool = False,
     ) -> None:
-        """Do what `print` does, but with this stream in place of standard output."""
+        """As `print`, but with this stream in place of standard output."""
         to_stdout = file is None or file is sys.stdout
         print(*values, sep=sep, end=end, file=self if to_stdout else file, flush=flush)  # type: ignore[call-overload]
 
 
 def _silence(package: str, output: _LoggedOutput) -> None:
-    """Have the modules of a package print, and log, to another stream than standard output."""
+    """Redirect the output and logs of a package's modules from standard output to a stream."""
     for name, module in list(sys.modules.items()):
         if name.partition(".")[0] != package or module is None:
             continue

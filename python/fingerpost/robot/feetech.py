@@ -1,11 +1,11 @@
 """Feetech's serial bus servos (STS3215) on one half-duplex line, by `feetech-servo-sdk`.
 
-The library makes and reads packets: 0xFF 0xFF, servo, length, instruction or status, parameters,
+The library makes and parses packets: 0xFF 0xFF, servo, length, instruction or status, parameters,
 checksum; words have the low byte first. Its own port has neither a time-out for writing, nor a
-lock, nor a way past an exchange that waits, so it is given one of ours (`_Port`) on a `SerialLine`.
+lock, nor a bypass of a waiting exchange, so it is replaced by `_Port` on a `SerialLine`.
 
 Every status packet carries the servo's faults: one bit each for voltage, encoder, temperature,
-current and load. A sync write has no answer; whether it arrived is seen by what the servos do.
+current and load. A sync write has no answer; only the servos' motion shows whether it arrived.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ HOMING_OFFSET, TORQUE_ENABLE, ACCELERATION = 31, 40, 41
 TORQUE_LIMIT, PRESENT_POSITION, PRESENT_VOLTAGE = 48, 56, 62
 
 OFFSET_SIGN_BIT, POSITION_SIGN_BIT = 11, 15
-"""Numbers below zero are a magnitude with this bit set."""
+"""Sign bits: negative numbers are a magnitude with this bit set."""
 
 TRIES = 3
-"""A reading that was spoilt or has not come is asked for so often; asking again changes nothing."""
+"""Number of attempts at a reading that is corrupt or missing; repetition has no side effect."""
 
 PADDING = bytes(250)
-"""Ends a packet whose length came spoilt, for which a servo would wait while it passes over what
-follows: as many bytes as the library's longest packet has, none of them a header."""
+"""Ends a packet with a corrupt length, during which a servo would ignore further input: as many
+bytes as the library's longest packet, none of them a header."""
 
 VOLTAGE, ENCODER, TEMPERATURE, CURRENT, OVERLOAD = 0x01, 0x02, 0x04, 0x08, 0x20
 _FAULTS = {
@@ -50,16 +50,16 @@ _FAULTS = {
 }
 
 _TIMEOUT, _CORRUPT = -6, -7
-"""The library's codes for a packet that has not come, and one that is cut or has a wrong sum."""
+"""The library's codes for a missing packet, and for a truncated one or a wrong checksum."""
 
 _Answer = TypeVar("_Answer")
 
 Readings: TypeAlias = dict[int, bytes]
-"""What was read, by the servo's number."""
+"""Bytes read, by the servo's number."""
 
 
 def signed(data: bytes, sign_bit: int) -> int:
-    """Return the first two bytes as a number whose sign is a bit of its own."""
+    """Return the first two bytes as a sign-magnitude number."""
     raw, sign = data[0] | data[1] << 8, 1 << sign_bit
     return -(raw & (sign - 1)) if raw & sign else raw
 
@@ -70,7 +70,7 @@ def two_bytes(value: int) -> tuple[int, int]:
 
 
 class _Port:
-    """What the library takes for a port: the line, with a time-out of each reply."""
+    """The library's interface to a port: the line, with a time-out of each reply."""
 
     def __init__(self, line: SerialLine, clock: Callable[[], float], reply_s: float) -> None:
         self.is_using = False  # the library's own flag, in place of a lock
@@ -81,7 +81,7 @@ class _Port:
         self._received = b""
 
     def clearPort(self) -> None:  # noqa: N802 - the library's names
-        """Forget what has come unasked."""
+        """Discard unsolicited input."""
         self._received = b""
         self._line.drain()
 
@@ -91,7 +91,7 @@ class _Port:
         return len(packet)
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
-        """Return up to so many bytes; waits a moment if there are none."""
+        """Return up to `length` bytes; wait a moment if there are none."""
         if not self._received:
             self._received = self._line.receive()
         data, self._received = self._received[:length], self._received[length:]
@@ -107,14 +107,14 @@ class _Port:
 
 
 class _UrgentPort(_Port):
-    """A port whose packets go past whatever waits."""
+    """A port whose packets bypass all waiting ones."""
 
     def clearPort(self) -> None:  # noqa: N802
-        """Leave what another thread waits for."""
+        """Do nothing: another thread may wait for the input."""
 
     def writePort(self, packet: list[int]) -> int:  # noqa: N802
         """Send a packet at once."""
-        self._line.send_now(bytes(packet), purge=False)  # no servo reads on after half a packet
+        self._line.send_now(bytes(packet), purge=False)  # a partial packet would block the servos
         return len(packet)
 
 
@@ -124,15 +124,15 @@ class ServoBus:
     Parameters
     ----------
     line : SerialLine
-        Where they are; 1 Mbaud unless they were set otherwise.
+        The line; 1 Mbaud unless they were set otherwise.
     names : mapping of int to str
-        What each servo moves, by its number.
+        Name of the joint that each servo moves, by its number.
     clock : callable
         Monotonic time [s].
     reply_s : float
         Longest time to one servo's answer [s].
     lenient : mapping of int to int, optional
-        Faults of a servo that are none for its user, as bits.
+        Faults of a servo that are ignored, as bits.
 
     Raises
     ------
@@ -156,10 +156,10 @@ class ServoBus:
         self._port = _Port(line, clock, reply_s)
         self._urgent_port = _UrgentPort(line, clock, reply_s)
         self._lock = threading.Lock()
-        self._repeat: Callable[[], None] | None = None  # what may have met an answer on the line
+        self._repeat: Callable[[], None] | None = None  # a write that may have collided
 
     def open(self) -> None:
-        """Open the line and see that every servo answers.
+        """Open the line and check that every servo answers.
 
         Raises
         ------
@@ -196,11 +196,11 @@ class ServoBus:
         RobotTimeoutError
             A servo does not answer.
         GarbledReplyError
-            Its answer is cut or its checksum wrong, again and again.
+            Its answer is truncated or its checksum wrong, repeatedly.
         RobotFaultError
             It reports a fault.
         ConnectionLostError
-            The cable is out.
+            The line is disconnected.
         """
         wanted = list(self._names) if servos is None else servos
         for left in range(TRIES - 1, -1, -1):
@@ -218,14 +218,14 @@ class ServoBus:
         Raises
         ------
         ConnectionLostError, RobotTimeoutError
-            The cable is out, or the line takes no bytes.
+            The line is disconnected, or does not accept the bytes.
         """
         self._exchange(lambda: self._sync_write(self._port, address, values))
 
     def write_now(self, address: int, values: Mapping[int, tuple[int, ...]]) -> None:
-        """Do as `write`, past an exchange that waits; it is sent again when that has ended.
+        """As `write`, but bypass a waiting exchange; the packet is sent again after that.
 
-        The line has one wire for both ways: an answer may spoil what is sent meanwhile.
+        The line has one wire for both directions: an answer may corrupt a packet sent meanwhile.
 
         Raises
         ------
@@ -241,7 +241,7 @@ class ServoBus:
         send()
 
     def confirm(self, address: int, servo: int, *values: int) -> None:
-        """Write bytes to one servo and have it say that it has them.
+        """Write bytes to one servo, which acknowledges them.
 
         Raises
         ------
@@ -292,7 +292,7 @@ class ServoBus:
         self._packets.syncWriteTxOnly(port, address, length, parameters, len(parameters))
 
     def _need(self, code: int, servo: int) -> None:
-        """Raise what the library's code means."""
+        """Raise the error for the library's code."""
         if code == _TIMEOUT:
             raise RobotTimeoutError(
                 f"{self._named(servo)}: no answer; see to the cable that leads to it"
@@ -305,7 +305,7 @@ class ServoBus:
             raise ConnectionLostError(f"{self._named(servo)}: {self._packets.getTxRxResult(code)}")
 
     def _need_no_fault(self, servo: int, bits: int) -> None:
-        """Raise the faults that a servo reports, with what it measures."""
+        """Raise the faults that a servo reports, with its measurements."""
         bits &= ~self._lenient.get(servo, 0)
         if not bits:
             return
@@ -320,7 +320,7 @@ class ServoBus:
         )
 
     def _supply(self, servo: int) -> tuple[float, int]:
-        """Return a servo's voltage [V] and temperature [°C]; NaN and 0 if it does not say."""
+        """Return a servo's voltage [V] and temperature [°C]; NaN and 0 without an answer."""
         data, code, _ = self._packets.readTxRx(self._port, servo, PRESENT_VOLTAGE, 2)
         return (data[0] / 10, data[1]) if code == 0 and len(data) == 2 else (float("nan"), 0)
 

@@ -22,15 +22,15 @@ from fingerpost.robot.motion import Vector
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FiveAxis:
-    """Lengths and joint ranges of one arm; all lengths are in one unit, that of positions.
+    """Lengths and joint ranges of one arm; lengths have the unit of positions.
 
     Attributes
     ----------
     shoulder_height, shoulder_offset : float
-        Of the shoulder's axis, above Z = 0 and from the base's axis: z₀ and r₀.
+        Position of the shoulder's axis, above Z = 0 and from the base's axis: z₀ and r₀.
     upper_arm, forearm, tool : float
-        From shoulder to elbow, on to the wrist's pitch axis, and on to the working point, which
-        lies on the roll axis: a, b, c.
+        Lengths from shoulder to elbow, from there to the wrist's pitch axis, and on to the working
+        point, which lies on the roll axis: a, b, c.
     ranges_rad : ndarray
         Least and greatest θ, σ, ε, ω and roll (5, 2) [rad].
     """

@@ -1,8 +1,8 @@
-"""Which fixes are good enough to move a robot on, and what else its guard asks for.
+"""Conditions on the fixes that may move a robot, and the other options of its guard.
 
-The upper bounds of `GuardOptions` are far from any use; they keep out what would switch a check
-off. Those of the two time-outs leave room for simulated time; the command line takes a minute at
-most.
+The upper bounds of `GuardOptions` are far beyond practical values; they prevent that a check is
+disabled. Those of the two time-outs allow for simulated time; the command line accepts at most a
+minute.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ logger = logging.getLogger(__name__)
 
 
 class GuardOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When a command may pass.
+    """Conditions for commands.
 
     Attributes
     ----------
@@ -35,21 +35,21 @@ class GuardOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fie
         Largest semi-axis of the fix's ellipse in the robot's frame [m]; the paper's block of
         wood needs about 10 mm.
     confidence : float
-        Of that ellipse.
+        Probability of that ellipse.
     max_fix_age_s : float
-        A fix older than this is stale [s]: no motion starts on it, and a motion that needs one is
-        stopped at most `WATCH_S` later.
+        Greatest age of a fix [s]: no motion starts on an older one, and a motion that needs a fix
+        is stopped at most `WATCH_S` later.
     operator_timeout_s : float
-        An operator not heard of for this long is gone [s].
+        Time without a heartbeat after which the operator counts as absent [s].
     clearance_m : float
-        Kept off the rim of the safe region for rounding by the controller [m].
+        Distance kept from the rim of the safe region, for rounding by the controller [m].
     max_speed_m_s : float
         Greatest speed of any command [m/s].
 
     Raises
     ------
     InvalidInputError
-        A value that is out of its range, or not a number.
+        A value out of range, or not a number.
     """
 
     tolerance_m: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.01
@@ -61,21 +61,21 @@ class GuardOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class Presence(StrEnum):
-    """What must last while a command runs."""
+    """Condition for the duration of a command."""
 
     FIX = "fix"
-    """The operator and a live fix: following."""
+    """The operator's presence and a live fix: for following."""
     OPERATOR = "operator"
-    """The operator: carrying out what has been selected."""
+    """The operator's presence: for the execution of a selection."""
 
 
 class FixGate:
-    """Keeps the newest fix, and says of any fix why it is not good enough to move on.
+    """Keeps the newest fix, and decides whether a fix permits motion.
 
     Parameters
     ----------
     plane : RobotPlane
-        Where the plane lies for the robot.
+        Position of the plane in the robot's frame.
     clock : callable
         The clock of the fixes' `time_s` [s].
     """
@@ -93,9 +93,9 @@ class FixGate:
     def observe(self, fix: Fix) -> None:
         """Keep a fix if it is the newest.
 
-        A fix that cannot be is dropped: its time or its point is not finite, or lies ahead of the
-        clock by more than `WATCH_S`. Kept, it would make every later fix a late one. A kept fix
-        that is ahead of the clock now, because the clock has been set back, gives way to any.
+        An impossible fix is dropped: its time or its point is not finite, or its time is ahead of
+        the clock by more than `WATCH_S`. It would make all later fixes seem old. If the kept fix is
+        ahead of the clock, because the clock has been set back, any other replaces it.
         """
         now_s = self._clock()
         if fault := _fault(fix, now_s):
@@ -106,7 +106,7 @@ class FixGate:
             self._newest = fix
 
     def doubt(self, fix: Fix, options: GuardOptions) -> str:
-        """Return why a fix is not good enough to move on; empty if it is."""
+        """Return why a fix does not permit motion; empty if it does."""
         if fix.status is not Status.OK:
             return f"fix is {fix.status}{f': {fix.reason}' if fix.reason else ''}"
         age_s = self._clock() - fix.time_s
@@ -139,13 +139,13 @@ class FixGate:
 
 
 def _fault(fix: Fix, now_s: float) -> str:
-    """Return what no fix of now can have; empty if there is nothing of the kind."""
+    """Return why a fix is impossible at the present time; empty if it is possible."""
     if not math.isfinite(fix.time_s):
         return f"its time is {fix.time_s} s"
     if fix.time_s > now_s + WATCH_S:
         return f"its time, {fix.time_s:.3f} s, is {fix.time_s - now_s:.3f} s ahead of the clock"
     if fix.status is not Status.OK:
-        return ""  # nothing moves on it; the covariance of a refused point may be infinite
+        return ""  # it permits no motion; the covariance of a refused point may be infinite
     for name, values in (("point", fix.point), ("covariance", fix.covariance)):
         if values is None or not np.isfinite(values).all():
             return f"its {name} is {None if values is None else values.tolist()}"

@@ -1,10 +1,9 @@
-"""The robot follows the pointing hand, and the hand selects by staying where it is.
+"""The robot follows the pointing hand, and the hand selects by dwelling.
 
 Section 3.4 of the paper: "the robot is instructed to move repeatedly to where the hand is
 pointing, providing the operator with direct feedback of the system's output." Here the indicated
-point is smoothed, and the arm goes after it in strides no longer than it covers in a fraction of a
-second: a stride is the most that is left to run when the hand turns or vanishes, even on a
-controller that only queues.
+point is smoothed, and the arm follows it in strides that last a fraction of a second: at most one
+stride remains to be executed when the hand turns or is lost, even on a controller that only queues.
 """
 
 from __future__ import annotations
@@ -26,31 +25,31 @@ from fingerpost.robot.protocol import Pose
 from fingerpost.robot.smoothing import LEAST_CUTOFF_HZ, OneEuroFilter
 
 ARRIVED_M = 0.002
-"""An arm this near its goal stands there, unless the dead band is wider [m]."""
+"""Distance from its goal at which an arm has arrived, unless the dead band is wider [m]."""
 
 LONGEST_DWELL_S, WIDEST_DWELL_M = 3600.0, 1.0
-"""No hand stays for longer, and none that goes further stays [s, m]."""
+"""Upper limits of dwell time and radius [s, m]."""
 
 OVERDUE, OVERDUE_S = 3.0, 2.0
-"""A stride is overdue after so many times its own time, and so long [s]."""
+"""A stride is overdue after this multiple of its own duration plus this time [s]."""
 
 
 class FollowOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How the robot follows.
+    """Options of following.
 
     Attributes
     ----------
     above_m : float
-        Height above the plane [m], ≥ 0: below it there is what the hand points at. Where the safe
-        region does not reach so low or high, the nearest height inside is taken.
+        Height above the plane [m], ≥ 0, with room for the object that the hand points at. If the
+        safe region does not include it, the nearest height inside is used.
     speed_m_s : float
         Greatest speed [m/s].
     stride_s : float
-        Time of a stride at that speed [s].
+        Duration of a stride at that speed [s].
     dead_band_m : float
-        The arm stays where it is for less than this [m].
+        Distance below which the arm does not move [m].
     min_cutoff_hz, slope_hz_m, speed_cutoff_hz : float
-        Of the `OneEuroFilter`, the slope per metre per second of the robot's frame.
+        Parameters of the `OneEuroFilter`; the slope is per m/s in the robot's frame.
     """
 
     above_m: Annotated[float, msgspec.Meta(ge=0, le=10)] = 0.05
@@ -63,36 +62,36 @@ class FollowOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 class FollowState(StrEnum):
-    """What the follower did with a fix."""
+    """State of the follower after a fix."""
 
     MOVING = "moving"
-    """Sent the arm a stride."""
+    """It has sent the arm a stride."""
     UNDER_WAY = "under_way"
-    """The last stride is not done yet."""
+    """The last stride is not finished."""
     THERE = "there"
-    """The arm stands where the hand points."""
+    """The arm stands at the indicated point."""
     HOLDING = "holding"
-    """The guard lets nothing pass, as when the fix will not do; the arm stands."""
+    """The guard refuses commands, for example because of the fix; the arm stands."""
 
 
 @dataclass(frozen=True, slots=True)
 class FollowReport:
-    """What the follower did with a fix, and why.
+    """Reaction of the follower to a fix.
 
     Attributes
     ----------
     state : FollowState
-        What it did.
+        Its state.
     reason : str
         Why it holds; else empty.
     target : (2,) or None
         Smoothed point of the plane, inside the safe region.
     lag_s : float
-        How late the smoothing makes it [s].
+        Delay of the target by the smoothing [s].
     goal : Pose or None
-        The stride that was sent.
+        End of the stride that was sent.
     fix : Fix or None
-        The fix it decided on.
+        The fix that was used.
     """
 
     state: FollowState
@@ -106,17 +105,17 @@ class FollowReport:
 class Follower:
     """Follow mode.
 
-    `update` reads the arm's pose, which takes a slow controller a while, a third of a second of a
-    moving arm at 9600 baud. So run it on the newest fix in a thread of its own, and hand every fix
-    to `Guard.observe` as it comes: what is decided after the reading is decided on the newest fix
-    of then. Without that, a fix may be stale by the time it counts, and the arm holds.
+    `update` reads the arm's pose, which is slow on some controllers: a third of a second for a
+    moving arm at 9600 baud. Call it with the newest fix in a separate thread, and pass every fix to
+    `Guard.observe` as it arrives: after the reading, the follower uses the newest fix. Otherwise a
+    fix may be stale by then, and the arm holds.
 
     Parameters
     ----------
     guard : Guard
-        Armed.
+        Armed guard.
     options : FollowOptions
-        How to follow.
+        Options of following.
     """
 
     def __init__(self, guard: Guard, options: FollowOptions | None = None) -> None:
@@ -133,17 +132,17 @@ class Follower:
         self._sent_s = 0.0
 
     def update(self, fix: Fix) -> FollowReport:
-        """Act on a fix.
+        """React to a fix.
 
         Raises
         ------
         NotArmedError, RobotError
-            As for `Guard.move`; what the guard refuses or holds is no error: the arm stands, and
-            the report says why.
+            As for `Guard.move`; a refusal or hold by the guard is not an error: the arm stands, and
+            the report gives the reason.
         """
         self._guard.observe(fix)
         if self._goal is not None and self._guard.interruptions != self._interruptions:
-            self.reset()  # somebody else has stopped the arm on its way
+            self.reset()  # the arm has been stopped elsewhere during its motion
         try:
             self._guard.accept(fix)
             return self._go_after(fix)
@@ -155,9 +154,9 @@ class Follower:
             return self._hold(self._guard.why_stopped, fix)
 
     def _go_after(self, fix: Fix) -> FollowReport:
-        looked_s = self._guard.time_s  # where the arm is, it is not before this
+        looked_s = self._guard.time_s  # the reading is not older than this
         here, here_above_m = self._guard.where()
-        fix = self._guard.newest_fix or fix  # reading takes its time
+        fix = self._guard.newest_fix or fix  # reading takes time
         point = self._guard.accept(fix)
         target, above_m = self._guard.clamp(self._smooth(point, fix.time_s), self._options.above_m)
         lag_s = self._filter.lag_s
@@ -181,7 +180,7 @@ class Follower:
             speed_m_s=self._options.speed_m_s,
             wait=False,
         )
-        self._sent_s = self._guard.time_s  # a slow line takes its time to send
+        self._sent_s = self._guard.time_s  # a slow line takes time to send
         return FollowReport(FollowState.MOVING, "", target, lag_s, self._goal, fix)
 
     def _under_way(
@@ -191,7 +190,7 @@ class Follower:
         return FollowReport(FollowState.UNDER_WAY, "", target, self._filter.lag_s, None, fix)
 
     def _smooth(self, point: NDArray[np.float64], time_s: float) -> NDArray[np.float64]:
-        """Return the smoothed point; a fix that comes twice is smoothed once."""
+        """Return the smoothed point; a repeated fix is smoothed once."""
         if self._smooth_m is None or time_s > self._smooth_s:
             self._smooth_m = self._filter(self._guard.plane.position_m(point), time_s)
             self._smooth_s = time_s
@@ -200,7 +199,7 @@ class Follower:
     def _stride(
         self, start: Pose, target: NDArray[np.float64], above_m: float, share: float
     ) -> tuple[NDArray[np.float64], float]:
-        """Return a share of the way from a pose to a place over the plane."""
+        """Return the end of one stride from a pose towards a place over the plane."""
         plane = self._guard.plane
         end = plane.pose(target, above_m)
         position = start.position_m + share * (end.position_m - start.position_m)
@@ -208,20 +207,20 @@ class Follower:
         return plane.point(position[:2]), plane.above_m(step)
 
     def _hold(self, reason: str, fix: Fix) -> FollowReport:
-        """Stand still until the fix is back, and start smoothing anew then."""
+        """Stand still until there is a usable fix, and restart the smoothing then."""
         if self._goal is not None and self._guard.interruptions == self._interruptions:
             self._guard.hold(reason)
         self.reset()
         return FollowReport(FollowState.HOLDING, reason, fix=fix)
 
     def reset(self) -> None:
-        """Forget where the arm was sent and what was smoothed, as after something else moved it."""
+        """Reset goal and smoothing, for example after another motion of the arm."""
         self._goal = None
         self._smooth_m = None
         self._filter.reset()
 
     def _need_progress(self, at: Pose, looked_s: float) -> None:
-        """Halt an arm that has not come through a stride long after it should have."""
+        """Halt an arm whose stride is overdue."""
         waited_s = looked_s - self._sent_s
         if waited_s > OVERDUE * self._options.stride_s + OVERDUE_S:
             message = f"the arm is at {at}, {waited_s:.1f} s after it was sent to {self._goal}"
@@ -231,33 +230,33 @@ class Follower:
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """A point of the plane that the operator has chosen, and the fix that shows it."""
+    """A point of the plane that the operator has selected, and its fix."""
 
     point: NDArray[np.float64]
     fix: Fix
 
 
 class DwellSelector:
-    """Selects the point at which the hand stays, while the arm stands there too.
+    """Selects the point at which the hand dwells, while the arm stands there too.
 
-    Only what the operator sees the robot do can he mean: a stay counts from when the arm stands
-    within the radius of where the hand points; a point that it cannot go to is never selected. Nor
-    does it go on unseen: it begins anew after a gap between fixes of more than `max_fix_age_s`.
-    After a selection the hand must leave the place before it can select again.
+    The operator relies on the robot's feedback, so the dwell time starts when the arm stands within
+    the radius of the indicated point; a point that it cannot reach is never selected. It restarts
+    after a gap between fixes of more than `max_fix_age_s`. After a selection the hand must leave
+    the place before it can select again.
 
     Parameters
     ----------
     guard : Guard
-        Says which fixes are good enough.
+        Decides which fixes are usable.
     dwell_s : float
-        How long it must stay [s], above 0, at most `LONGEST_DWELL_S`.
+        Dwell time [s], above 0, at most `LONGEST_DWELL_S`.
     radius_m : float
-        Within this distance of where it began to stay [m], above 0, at most `WIDEST_DWELL_M`.
+        Greatest distance from the first point of the dwell [m], above 0, at most `WIDEST_DWELL_M`.
 
     Raises
     ------
     InvalidInputError
-        A time or radius that is out of its range.
+        A time or radius out of range.
     """
 
     def __init__(self, guard: Guard, *, dwell_s: float = 1.0, radius_m: float = 0.01) -> None:
@@ -271,18 +270,18 @@ class DwellSelector:
 
     @property
     def progress(self) -> float:
-        """How much of the dwell time has passed, 0 … 1."""
+        """Fraction of the dwell time that has passed, 0 … 1."""
         return 0.0 if self._stay is None else min(1.0, self._stay.span_s / self._dwell_s)
 
     def update(self, fix: Fix, arm: FollowReport | None) -> Selection | None:
-        """Take the next fix; return the selection when the hand has stayed long enough.
+        """Process the next fix; return the selection at the end of the dwell time.
 
-        The selected point is the mean of the points during the stay.
+        The selected point is the mean of the points during the dwell.
 
         Parameters
         ----------
         fix : Fix
-            The next.
+            The next fix.
         arm : FollowReport or None
             The follower's last report; None when the arm has been moved or stopped since.
         """
@@ -314,7 +313,7 @@ class DwellSelector:
         Raises
         ------
         RefusedError
-            The fix is not good enough; the message says why.
+            The fix is not usable; the message says why.
         """
         return Selection(self._guard.accept(fix), fix)
 
@@ -329,7 +328,7 @@ class DwellSelector:
 
 
 class _Stay:
-    """A hand that stays: where it began to, since when, when it was seen last, and the mean."""
+    """A dwelling hand: first point, start, time of the last fix, and mean."""
 
     def __init__(self, first: NDArray[np.float64], time_s: float) -> None:
         self.first = first
@@ -340,7 +339,7 @@ class _Stay:
         self._count = 0
 
     def add(self, point: NDArray[np.float64], time_s: float) -> None:
-        """Count one more point."""
+        """Add a point."""
         self.span_s = time_s - self._since_s
         self.seen_s = time_s
         self._sum = self._sum + point

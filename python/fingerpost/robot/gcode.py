@@ -1,7 +1,8 @@
-"""Arms that speak G-code on a serial line: uArm, DexArm, and whatever runs Marlin.
+"""Arms controlled by G-code on a serial line: uArm, DexArm, and any with Marlin.
 
-They share the words (`G1 X Y Z F`, millimetres) and differ in the rest: a `Dialect` says how an arm
-homes, reports its position and stops, and a `Dialogue` how lines are numbered and answered.
+They share the basic commands (`G1 X Y Z F`, millimetres) and differ otherwise: a `Dialect` defines
+how an arm homes, reports its position and stops, and a `Dialogue` how lines are numbered and
+answered.
 """
 
 from __future__ import annotations
@@ -53,17 +54,17 @@ from fingerpost.robot.serial_line import Flow, SerialLine, Tap
 logger = logging.getLogger(__name__)
 
 MAX_SPEED_M_S = 0.1
-"""Greatest speed of an arm that has no limits of its own and is given a box only [m/s]."""
+"""Greatest speed of an arm without limits of its own, for which only a box is given [m/s]."""
 
 STARTUP_S = 8.0
-"""A board that resets when its port is opened is ready after this [s]."""
+"""Time after which a board that resets when its port is opened is ready [s]."""
 
 TRAVEL_SLACK_MM = 2.0
-"""Way an arm may go during one reading of its position [mm]."""
+"""Distance that an arm may move during one reading of its position [mm]."""
 
 
 class GcodeOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How to talk to a G-code arm.
+    """Options of a G-code arm.
 
     Attributes
     ----------
@@ -74,24 +75,24 @@ class GcodeOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fie
     reply_s : float or None
         Longest time to an answer [s], `busy` messages not counted; the dialect's own by default.
     accept_s : float
-        How long a numbered move may be refused; a uArm may answer only when it has ended. A silence
-        of this length also ends what a controller says unasked [s].
+        Time within which a numbered move may be refused; a uArm may answer only at its end. A
+        silence of this length also ends unsolicited messages of a controller [s].
     poll_s, stall_s : float
-        How the end of a move is seen [s], as in `ArrivalRule`.
+        Parameters of the end of a move [s], as in `ArrivalRule`.
     keeps_steps : bool
-        The motors keep in step when they are stopped without slowing down, as closed-loop ones do:
-        the arm stays homed after a stop. Arms with encoders do so anyway.
+        Whether the motors lose no steps when they are stopped without deceleration, as closed-loop
+        ones do: the arm then stays homed after a stop. Arms with encoders do so in any case.
     tool : Tool or None
-        What the arm holds things with; the dialect's usual one by default.
+        Tool with which the arm holds objects; the dialect's usual one by default.
     gripper_s : float
         Time the gripper takes [s].
     open_gripper, close_gripper : str or None
-        Commands of the gripper, where the dialect knows none, or of another tool.
+        Commands of the gripper, if the dialect has none, or of another tool.
     lower_m, upper_m : tuple of 3 floats, or None
-        Corners of the box of permitted positions [m]; what is not given is the dialect's own, and
-        both are needed where the dialect knows no limits.
+        Corners of the box of permitted positions [m]; the dialect's own by default. Both are
+        required if the dialect has no limits.
     max_speed_m_s : float or None
-        Greatest speed that may be asked for [m/s]; the dialect's own by default, or
+        Greatest permitted speed [m/s]; the dialect's own by default, or
         `MAX_SPEED_M_S`.
     """
 
@@ -112,7 +113,7 @@ class GcodeOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 def _need_no_half_box(options: GcodeOptions) -> None:
-    """Refuse one corner without the other: a limit that is given must not be passed over."""
+    """Refuse one corner without the other: a given limit must not be ignored."""
     for given, missing in (("lower_m", "upper_m"), ("upper_m", "lower_m")):
         if (corner := getattr(options, given)) is not None:
             raise InvalidInputError(
@@ -122,12 +123,12 @@ def _need_no_half_box(options: GcodeOptions) -> None:
 
 
 def _grip(dialect: Dialect, options: GcodeOptions) -> Grip | None:
-    """Return the commands of the tool; None where there is none.
+    """Return the commands of the tool; None without one.
 
     Raises
     ------
     InvalidInputError
-        A tool that the dialect does not know, or one command without the other.
+        A tool unknown to the dialect, or one command without the other.
     """
     tools = dialect.tools
     if options.tool is not None and options.tool not in tools:
@@ -145,7 +146,7 @@ def _grip(dialect: Dialect, options: GcodeOptions) -> Grip | None:
 
 
 class GcodeArm(Arm):
-    """An arm that speaks G-code.
+    """An arm controlled by G-code.
 
     Parameters
     ----------
@@ -154,19 +155,19 @@ class GcodeArm(Arm):
     dialect : Dialect
         Its family.
     options : GcodeOptions
-        How to talk to it.
+        Its options.
     limits : Limits, optional
-        What it may be asked for; by default the dialect's own with the box of the options.
+        Limits of commands; by default the dialect's own with the box of the options.
     tap : callable, optional
-        Sees every transfer, `tap("out" or "in", data)`.
+        Called with every transfer, `tap("out" or "in", data)`.
     clock, sleep : callable
-        Monotonic time [s], and a wait of so many seconds of it.
+        Monotonic time [s], and a wait for a time on that clock [s].
 
     Raises
     ------
     InvalidInputError
-        A box that is none, or one corner of a box where the dialect has no limits of its own; a
-        tool that the arm does not know.
+        An invalid box, one corner of a box although the dialect has no limits of its own, or a tool
+        unknown to the arm.
     """
 
     def __init__(
@@ -198,9 +199,9 @@ class GcodeArm(Arm):
         self._talk = self._dialogue()
         self._readings = ReadingFilter(clock, MM_PER_M, TRAVEL_SLACK_MM)
         self._firmware: Firmware | None = None
-        self._moving = False  # since the last time that it was seen to stand
-        self._moves_until_s = 0.0  # by the speeds that were asked for
-        self._next_start: tuple[int, Pose] | None = None  # unless it is stopped anew
+        self._moving = False  # since it was last found to stand
+        self._moves_until_s = 0.0  # by the commanded speeds
+        self._next_start: tuple[int, Pose] | None = None  # unless it is stopped again
 
     def _dialogue(self) -> Dialogue:
         dialect, accept_s = self._dialect, self._options.accept_s
@@ -222,7 +223,7 @@ class GcodeArm(Arm):
         )
 
     def _declared_limits(self) -> Limits | None:
-        """Lay the limits that were given over the dialect's own, if it has any."""
+        """Replace the dialect's own limits, if any, by the given ones."""
         options = self._options
         if self._dialect.limits is not None:
             declared = {
@@ -243,7 +244,7 @@ class GcodeArm(Arm):
 
     @property
     def firmware(self) -> Firmware | None:
-        """What the controller has said of itself when it was connected; None before."""
+        """Firmware that the controller reported when it was connected; None before."""
         return self._firmware
 
     def _open(self) -> None:
@@ -260,7 +261,7 @@ class GcodeArm(Arm):
         self._talk.remarks.clear()
 
     def _await_startup(self, turn: Turn) -> None:
-        """Wait for a first answer: a board may be restarting because its port was opened."""
+        """Wait for a first answer: a board may restart because its port was opened."""
         while True:
             self._pause(0.0, turn)
             try:
@@ -272,7 +273,7 @@ class GcodeArm(Arm):
                 return
 
     def _read_firmware(self, turn: Turn) -> Firmware:
-        """Ask which firmware it is, and see that it can be stopped.
+        """Query the firmware, and check that it can be stopped.
 
         Raises
         ------
@@ -282,7 +283,7 @@ class GcodeArm(Arm):
         try:
             answer = self._ask(self._dialect.identify, turn)
         except CommandRefusedError:
-            answer = ""  # it says nothing
+            answer = ""  # there is no answer
         firmware = self._dialect.firmware(answer)
         if not firmware.stops_at_once:
             self._need_stop(turn)
@@ -294,7 +295,7 @@ class GcodeArm(Arm):
         return firmware
 
     def _need_stop(self, turn: Turn) -> None:
-        """See that the controller knows the command that stops it.
+        """Check that the controller knows the command that stops it.
 
         Raises
         ------
@@ -327,7 +328,7 @@ class GcodeArm(Arm):
             self._moving = False
             return
         previous = self._read_pose(turn)
-        while True:  # no word for the end of motion: look until it stands
+        while True:  # the end of motion is not reported: read until it stands
             self._pause(max(self._options.poll_s, 0.1), turn)
             pose = self._read_pose(turn)
             if pose.distance_m(previous) < self._arrival.still_m:
@@ -351,16 +352,16 @@ class GcodeArm(Arm):
         self._next_start, self._moves_until_s = (turn.stops, pose), until_s
 
     def _start_of_move(self, turn: Turn) -> Pose:
-        """Return where the arm will be when everything that was sent to it is done."""
+        """Return the pose of the arm at the end of all commands sent."""
         if self._next_start is not None and self._next_start[0] == turn.stops:
             return self._next_start[1]
         return self._read_pose(turn)
 
     def _read_pose(self, turn: Turn) -> Pose:
-        """Read the position; where the controller knows only its goal, wait for standstill."""
+        """Read the position; if the controller only knows its goal, wait for standstill."""
         if self._dialect.drain:
             if self._firmware is not None and not self._firmware.stops_at_once:
-                # It reads no stop while it works at `M400`: ask when the motion should be over.
+                # It reads no stop during `M400`: send that when the motion should have ended.
                 self._pause(max(0.0, self._moves_until_s - self._clock()), turn)
             self._ask(self._dialect.drain, turn, extra_s=math.inf)
             self._moving = False
@@ -371,7 +372,7 @@ class GcodeArm(Arm):
         return pose
 
     def _read_position(self, turn: Turn) -> Position:
-        busy_s = max(0.0, self._moves_until_s - self._clock())  # a uArm answers when it has planned
+        busy_s = max(0.0, self._moves_until_s - self._clock())  # a uArm answers after planning
         answer = self._ask(self._dialect.where, turn, extra_s=busy_s)
         try:
             return parse_position(answer)
@@ -401,7 +402,7 @@ class GcodeArm(Arm):
         extra_s: float = 0.0,
         on_line: Callable[[str], None] = lambda _: None,
     ) -> str:
-        """Ask; what moves the arm never goes past a stop."""
+        """Send a command; one that moves the arm never overtakes a stop."""
 
         def issue(line: bytes) -> None:
             self._issue(lambda: self._line.send(line), turn)

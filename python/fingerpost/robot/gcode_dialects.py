@@ -1,15 +1,15 @@
-"""What the families of G-code arms do each in its own way; how they are talked to is elsewhere.
+"""Dialects of G-code arms; the dialogue with them is in `gcode_dialogue`.
 
-* Marlin: any machine whose axes are X, Y and Z, or that says so. `M114` reports the *goal*, so it
-  is asked only after `M400`, which answers when all motion has ended. `M410` stops the motors
-  without slowing them down; they may slip, so positions mean nothing until the next homing. Boards
-  built with `EMERGENCY_PARSER` (`M115` says so) look for it in the stream, ahead of all queues.
-* Rotrics' DexArm: a Marlin with absolute encoders, which it reads again after `M410`.
+* Marlin: any machine with the axes X, Y and Z, or that reports them. `M114` reports the *goal*, so
+  it is sent only after `M400`, which answers at the end of all motion. `M410` stops the motors
+  without deceleration; they may lose steps, so positions are invalid until the next homing. Boards
+  built with `EMERGENCY_PARSER` (reported by `M115`) detect it in the stream, ahead of all queues.
+* Rotrics' DexArm: Marlin with absolute encoders, which it reads again after `M410`.
 * uArm Swift Pro: `#n …` and `$n …`, absolute encoders (`P2220`), and Ctrl-X, which from firmware 4
   on stops the motors from the controller's interrupt.
 
-All are moved by `G1`, which goes straight. With `G0` the last two turn their joints from one end to
-the other in the shortest time: the hand goes along a curve.
+All are moved by `G1`, in a straight line. With `G0` the joints of the last two turn from start to
+end in the shortest time: the hand moves along a curve.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ MM_PER_M = 1000.0
 S_PER_MIN = 60.0
 
 LEAST_SPEED_M_S = 1.0 / (S_PER_MIN * MM_PER_M)
-"""A feed rate of `F1`; Marlin takes `F0` for none given, and goes as fast as before [m/s]."""
+"""Speed of a feed rate of `F1`; Marlin treats `F0` as none given, and keeps the last one [m/s]."""
 
 KEEPALIVE_S = 2.0
-"""Marlin says that it is busy this often, unless `M113` has set something else [s]."""
+"""Interval of Marlin's busy messages, unless `M113` has set another [s]."""
 
 FIRST_STOPPABLE_UARM = 4
 """Major version of the first firmware of a uArm that acts on Ctrl-X at once."""
@@ -51,7 +51,7 @@ class Numbering(StrEnum):
 
 
 class Tool(StrEnum):
-    """What an arm holds things with."""
+    """Tool with which an arm holds objects."""
 
     SUCTION = "suction"
     GRIPPER = "gripper"
@@ -59,7 +59,7 @@ class Tool(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Grip:
-    """Commands that hold a thing and let it go."""
+    """Commands that hold and release an object."""
 
     close: str
     open: str
@@ -67,15 +67,15 @@ class Grip:
 
 @dataclass(frozen=True, slots=True)
 class Firmware:
-    """What a controller's firmware says of itself.
+    """Firmware of a controller, as it reports itself.
 
     Attributes
     ----------
     name : str
         Its name and version, as far as it reports them.
     stops_at_once : bool
-        A stop passes every queue. Otherwise it waits for whatever keeps the controller from
-        reading: homing, `M400`, a move that is longer than its planner's buffer.
+        Whether a stop bypasses every queue. Otherwise it waits while the controller does not read:
+        during homing, `M400`, or a move longer than its planner's buffer.
     """
 
     name: str
@@ -84,24 +84,24 @@ class Firmware:
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """One straight move: its feed rate `F` in the controller's own unit, and how long it takes."""
+    """One straight move: its feed rate `F` in the controller's own unit, and its duration."""
 
     feed: str
     duration_s: float
 
 
 class FeedRule(Protocol):
-    """How a speed is sent to a controller."""
+    """Conversion of a speed to a controller's feed rate."""
 
     def stroke(
         self, start_mm: NDArray[np.float64], goal_mm: NDArray[np.float64], speed_mm_s: float
     ) -> Stroke:
-        """Return the feed rate at which the hand is nowhere faster than a speed.
+        """Return the greatest feed rate at which the hand nowhere exceeds a speed.
 
         Raises
         ------
         OutOfReachError
-            The arm cannot go straight from one to the other.
+            The arm cannot move in a straight line from one to the other.
         """
 
 
@@ -118,16 +118,16 @@ class CartesianFeed:
 
 @dataclass(frozen=True, slots=True)
 class JointFeed:
-    """`F` is the length of the joint angles' velocity, whatever that makes of the hand's.
+    """`F` is the norm of the joint velocities, regardless of the hand's speed.
 
     Attributes
     ----------
     arm : Palletiser
-        Whose joints they are.
+        The arm.
     unit_deg : float
-        A feed rate of 1 turns the joints by this in a minute [°].
+        Rotation of the joints per minute at a feed rate of 1 [°].
     greatest : float
-        Greatest feed rate of `G1`; a greater one counts as this.
+        Greatest feed rate of `G1`; a greater one is reduced to it.
     """
 
     arm: Palletiser
@@ -135,17 +135,17 @@ class JointFeed:
     greatest: float
 
     STEP_MM = 1.0
-    """The way is looked at this often; the joints turn by less than a degree on it [mm]."""
+    """Interval of sampling along a move, in which the joints turn by less than a degree [mm]."""
 
     def stroke(
         self, start_mm: NDArray[np.float64], goal_mm: NDArray[np.float64], speed_mm_s: float
     ) -> Stroke:
-        """Return the feed rate of the place where the hand is fastest for its joints' sake."""
+        """Return the feed rate at the place where the hand is fastest relative to its joints."""
         length_mm = math.dist(start_mm, goal_mm)
         steps = max(1, math.ceil(length_mm / self.STEP_MM))
         shares = np.linspace(0.0, 1.0, steps + 1)[:, None]
         joints = self.arm.joints_deg(start_mm + shares * (goal_mm - start_mm))
-        if np.isnan(joints[1:]).any():  # where the arm is, it is
+        if np.isnan(joints[1:]).any():  # the present position is reachable
             raise OutOfReachError(
                 f"the arm cannot go straight from {_shown(start_mm)} to {_shown(goal_mm)} mm: its "
                 "joints do not reach all of the way"
@@ -165,19 +165,19 @@ def _shown(position_mm: NDArray[np.float64]) -> str:
 
 
 def marlin_firmware(answer: str) -> Firmware:
-    """Read the answer to `M115`; what it does not say, the board does not have."""
+    """Parse the answer to `M115`; features that it does not list are absent."""
     name = re.search(r"FIRMWARE_NAME:\s*(.+?)(?=\s+[A-Z_]{4,}:|$)", answer, re.MULTILINE)
     parser = re.search(r"^Cap:EMERGENCY_PARSER:1\s*$", answer, re.MULTILINE)
     return Firmware(name[1] if name else "unnamed firmware", parser is not None)
 
 
 def uarm_firmware(answer: str) -> Firmware:
-    """Read the answer to `P2203`.
+    """Parse the answer to `P2203`.
 
     Raises
     ------
     CommandRefusedError
-        An older firmware, or one that does not say how old it is: nothing would stop it at once.
+        An older firmware, or one of unknown version, which could not be stopped at once.
     """
     version = re.search(r"\bV?(\d+)\.[\d.]*\d", answer)
     if version is None or int(version[1]) < FIRST_STOPPABLE_UARM:
@@ -190,7 +190,7 @@ def uarm_firmware(answer: str) -> Firmware:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dialect:
-    """What one family of controllers does in its own way.
+    """Properties of one family of controllers.
 
     Attributes
     ----------
@@ -203,27 +203,27 @@ class Dialect:
     start, home : tuple of str
         Commands after connecting, and for homing.
     identify : str
-        Asks which firmware it is.
+        Command that queries the firmware.
     firmware : callable
-        Reads the answer.
+        Parses the answer.
     where : str
-        Asks for the position; the answer holds `X… Y… Z…`.
+        Command that queries the position; the answer contains `X… Y… Z…`.
     straight : str
-        Goes straight to `X… Y… Z…`.
+        Command that moves in a straight line to `X… Y… Z…`.
     drain : str or None
-        Answered when all motion has ended; needed where `where` reports a goal.
+        Command that is answered at the end of all motion; required if `where` reports a goal.
     stop : bytes
-        Stops at once, in the middle of anything.
+        Bytes that stop at once, at any time.
     after_stop : tuple of str
         Commands that make the controller ready again.
     slips : str
-        Why positions mean nothing after a stop in the middle of a motion; empty where they do.
+        Why positions are invalid after a stop during a motion; empty if they are valid.
     feed : FeedRule
-        How a speed is sent to it.
+        Conversion of speeds.
     tools : mapping of Tool to Grip
-        What it can hold things with, the usual first.
+        Possible tools, the usual one first.
     limits : Limits or None
-        Of a known arm; None where only its owner knows.
+        Limits of a known arm; None if the user must give them.
     """
 
     numbering: Numbering
@@ -248,7 +248,7 @@ QUICK_STOP = "M410"
 """Marlin's stop."""
 
 _STOP_MARLIN = 2 * f"\n{QUICK_STOP}\n".encode("ascii")
-"""A line of its own, twice, so that no byte lost to noise loses it."""
+"""A separate line, sent twice, in case noise destroys one byte."""
 
 MARLIN = Dialect(
     numbering=Numbering.CHECKSUM,
@@ -263,8 +263,8 @@ MARLIN = Dialect(
     stop=_STOP_MARLIN,
     slips="M410 has stopped its motors without slowing them down, and they may have slipped",
 )
-"""Any Marlin machine; limits and gripper are its owner's. `G01` is how ISO 6983 writes `G1`, and
-also what moves a board on which both are one command, known by its first two letters."""
+"""Any Marlin machine; its user gives limits and gripper. `G01` is the notation of `G1` in ISO 6983,
+and also works on a board that identifies commands by their first two letters."""
 
 DEXARM = Dialect(
     numbering=Numbering.CHECKSUM,
@@ -278,8 +278,8 @@ DEXARM = Dialect(
     stop=_STOP_MARLIN,
     tools={Tool.SUCTION: Grip("M1000", "M1001"), Tool.GRIPPER: Grip("M1001", "M1000")},
 )
-"""Rotrics' DexArm. Its pump sucks (`M1000`) or blows (`M1001`): the cup holds by the one, the soft
-gripper by the other."""
+"""Rotrics' DexArm. Its pump sucks (`M1000`) or blows (`M1001`): the cup holds by suction, the soft
+gripper by pressure."""
 
 UARM = Dialect(
     numbering=Numbering.HASH,
@@ -306,6 +306,6 @@ UARM = Dialect(
         gripper=GripperKind.OPEN_CLOSE,
     ),
 )
-"""uArm Swift Pro, with round figures for its limits. Homing goes to a place above its front, at
-`F10` nowhere faster than 0.09 m/s. Its firmware counts 6400 steps of its motors as 1 mm, 80 to a
-degree, and takes `F` for the speed of these: the vendor gives 0 … 200 as its range."""
+"""uArm Swift Pro, with round figures for its limits. Homing moves to a place above its front, at
+`F10` nowhere faster than 0.09 m/s. Its firmware treats 6400 steps of its motors as 1 mm, with 80
+steps per degree, and interprets `F` as their speed: the vendor's range is 0 … 200."""

@@ -1,13 +1,13 @@
 """Commands and answers of G-code controllers on a serial line, one at a time.
 
-Marlin and its kin number lines and check each by a sum (`N7 G1 X10*92`). They answer with `ok`,
-with or without further fields, after any number of other lines: `echo:busy: processing` while they
-need more time, reports, remarks. A line that came spoilt is asked for again (`Resend: 7`, `rs N7`),
-with an `ok` behind it or without. A command that is not carried out is refused in words, by a line
-that begins with `Error:`, `ALARM:`, `fatal:` or `!!`, before its `ok` or instead of it; and some
-controllers only remark on it (`echo:Home XYZ First`). uArm answers by number (`$7 ok`, `$7 E22`).
+Marlin and related firmware number lines and add a checksum to each (`N7 G1 X10*92`). They answer
+with `ok`, with or without further fields, after any number of other lines: `echo:busy: processing`
+while they need more time, reports, remarks. A corrupt line is requested again (`Resend: 7`, `rs
+N7`), with or without an `ok` after the request. A refused command is reported by a line that begins
+with `Error:`, `ALARM:`, `fatal:` or `!!`, before its `ok` or instead of it; some controllers only
+send a remark (`echo:Home XYZ First`). uArm answers by number (`$7 ok`, `$7 E22`).
 
-The words of the controller are passed on in every error.
+Every error contains the text of the controller.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from fingerpost.robot.serial_line import SerialLine
 Position: TypeAlias = tuple[float, float, float]
 
 RECOVERIES = 3
-"""How often the controller's answers are waited out before it counts as out of its mind."""
+"""Number of attempts to resynchronise with the controller before giving up."""
 
 RESENDS = 5
-"""How often a line is sent again before the line counts as broken."""
+"""Number of repetitions of a line before the connection counts as broken."""
 
 REMARKS_KEPT = 3
-"""A controller's last remarks that are passed on with an error; a message is one line."""
+"""Number of last remarks of a controller that are added to an error; a message is one line."""
 
 _NUMBER = r"([-+]?\d+(?:\.\d+)?)"
 _COORDINATES = re.compile(
@@ -67,7 +67,7 @@ _HALTED = re.compile(r"halt|kill|stopp?ed|stop called|shutdown|^alarm|^fatal|^!!
 _RESTARTED = re.compile(r"^(?:start|(?:echo:)?(?:grbl|marlin|smoothie)\b.*|@1)$", re.IGNORECASE)
 _REPORT = re.compile(r"^(?:wait$|Cap:|FIRMWARE_NAME:|(?:\w+ ){0,2}[A-Z]\d?:\s*[-+\d])")
 _HASH_REPLY = re.compile(
-    # A motion that was cut off leaves its number behind, without an answer or a line's end.
+    # An interrupted motion leaves its number in the output, without an answer or a line's end.
     r"^(?:\$\d+)*\$(\d+)\s+(ok|E\d+)\b(.*)$",
     re.IGNORECASE,
 )
@@ -88,22 +88,22 @@ _UNREACHABLE = 22
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """A command and how to wait for its answer.
+    """A command, and parameters of the wait for its answer.
 
     Attributes
     ----------
     command : str
         The command.
     check : callable
-        Raises when there is no use in waiting any longer.
+        Raises to end the wait.
     send : callable
         Sends its bytes.
     moves : bool
-        It is a motion of the arm or the gripper, which a mere remark refuses.
+        Whether it moves the arm or the gripper; a remark then counts as a refusal.
     extra_s : float
-        Longer than usual to the answer [s]; infinity waits until `check` raises.
+        Additional time for the answer [s]; infinity waits until `check` raises.
     on_line : callable
-        Called with every line that comes meanwhile.
+        Called with every line received meanwhile.
     """
 
     command: str
@@ -116,7 +116,7 @@ class Request:
 
 @dataclass(slots=True)
 class _Answer:
-    """What has come of an answer: its lines, what was refused, and which line is wanted again."""
+    """Received part of an answer: its lines, a refusal, and the number of a line to resend."""
 
     lines: list[str] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
@@ -124,12 +124,12 @@ class _Answer:
 
 
 def parse_position(answer: str) -> Position:
-    """Read a position [mm] by its labels.
+    """Parse a position [mm] by its labels.
 
     Raises
     ------
     GarbledReplyError
-        There is none, or more than one.
+        No position, or more than one.
     """
     found = _COORDINATES.findall(answer)
     if len(found) != 1:
@@ -139,7 +139,7 @@ def parse_position(answer: str) -> Position:
 
 
 def checksummed(number: int, command: str) -> str:
-    """Return a line with Marlin's number and sum: the exclusive or of all bytes before the star."""
+    """Return a line with Marlin's number and checksum: the XOR of all bytes before the star."""
     body = f"N{number} {command}"
     total = 0
     for byte in body.encode("ascii"):
@@ -148,25 +148,25 @@ def checksummed(number: int, command: str) -> str:
 
 
 class Dialogue(ABC):
-    """Asks and hears, and finds back into step after a disturbance.
+    """Sends commands, receives answers, and resynchronises after a disturbance.
 
     Parameters
     ----------
     line : SerialLine
-        Where the controller is.
+        Line to the controller.
     clock : callable
         Monotonic time [s].
     reply_s : float
         Longest time to an answer [s].
     quiet_s : float
-        A silence as long as this ends what the controller had to say [s].
+        Silence that ends the output of the controller [s].
     after_stop : sequence of str
         Commands that make it ready again.
 
     Attributes
     ----------
     remarks : deque of str
-        The last that it has said beside its answers; whoever reads them clears them.
+        Its last messages other than answers; the reader clears them.
     """
 
     def __init__(
@@ -186,17 +186,17 @@ class Dialogue(ABC):
         self._after_stop = after_stop
         self._number = 0
         self._text = ""
-        self._last_heard = ""
+        self._last_line = ""
         self._slip_numbers = itertools.count(1)
-        self._slips = next(self._slip_numbers)  # counts what puts answers out of step
+        self._slips = next(self._slip_numbers)  # number of events that lose synchronisation
         self._in_step_since = 0
 
     def disturb(self) -> None:
-        """Note that answers may come that nobody has asked for; harmless at any time."""
+        """Report that unsolicited answers may follow; harmless at any time."""
         self._slips = next(self._slip_numbers)
 
     def distrust(self) -> None:
-        """Note that the last answer may have been that to something else."""
+        """Report that the last answer may belong to another command."""
         self._in_step_since = 0
 
     def ask(self, request: Request) -> str:
@@ -207,22 +207,22 @@ class Dialogue(ABC):
         RobotTimeoutError, GarbledReplyError
             No answer, or none that belongs to the command.
         CommandRefusedError, OutOfReachError, NotHomedError, HomingError, RobotFaultError
-            The controller does not carry it out; its own words are in the message.
+            The controller refuses it; the message contains its text.
         """
         if self._in_step_since != self._slips:
             self.recover(request.check)
-        in_step_since, self._in_step_since = self._in_step_since, 0  # until the answer is whole
+        in_step_since, self._in_step_since = self._in_step_since, 0  # until the answer is complete
         answer = self._exchange(request)
         self._in_step_since = in_step_since
         return answer
 
     def recover(self, check: Callable[[], None]) -> None:
-        """Make a controller ready again whose answers may be out of step.
+        """Resynchronise with a controller, and make it ready again.
 
         Raises
         ------
         RobotTimeoutError, GarbledReplyError
-            It answers nothing sensible.
+            There is no valid answer.
         """
         slips = self._slips
         for _ in range(RECOVERIES):
@@ -232,7 +232,7 @@ class Dialogue(ABC):
         else:
             raise GarbledReplyError(
                 "the controller's answers do not belong to what it is asked; the last was "
-                f"{self._last_heard!r}"
+                f"{self._last_line!r}"
             )
         for command in self._after_stop:
             self._exchange(Request(command=command, check=check, send=self._line.send))
@@ -240,14 +240,14 @@ class Dialogue(ABC):
 
     @abstractmethod
     def _exchange(self, request: Request) -> str:
-        """Send a numbered command until it gets through; return the lines of its answer."""
+        """Send a numbered command until it is received; return the lines of its answer."""
 
     @abstractmethod
     def _falls_in_step(self, check: Callable[[], None]) -> bool:
-        """Whether answers now belong to what is asked."""
+        """Whether answers are now synchronous with commands."""
 
     def _drain(self, check: Callable[[], None]) -> None:
-        """Listen until nothing more comes: it answers nobody, but may tell of a restart."""
+        """Read until there is a silence; the text may report a restart."""
         quiet_s = self._clock() + self._quiet_s
         while self._clock() < quiet_s:
             check()
@@ -259,7 +259,7 @@ class Dialogue(ABC):
             _need_no_restart(line.strip())
 
     def _next_line(self, check: Callable[[], None]) -> str:
-        """Return the next whole line, or an empty one after a short wait."""
+        """Return the next complete line, or an empty one after a short wait."""
         check()
         if "\n" not in self._text:
             self._text += self._line.receive().decode("latin-1")
@@ -267,17 +267,17 @@ class Dialogue(ABC):
         if not newline:
             return ""
         self._text = rest
-        self._last_heard = line.strip() or self._last_heard
+        self._last_line = line.strip() or self._last_line
         return line.strip()
 
     def _notice(self, line: str) -> None:
-        """Look at a line that answers nothing."""
+        """Process a line that is not an answer."""
         _need_no_restart(line)
         if line and not _REPORT.match(line):
             self.remarks.append(line)
 
     def _silence(self, command: str, limit_s: float) -> RobotTimeoutError:
-        last = f"; the last line was {self._last_heard!r}" if self._last_heard else ""
+        last = f"; the last line was {self._last_line!r}" if self._last_line else ""
         return RobotTimeoutError(f"{command}: no answer within {limit_s:g} s{last}")
 
 
@@ -289,7 +289,7 @@ class ChecksumDialogue(Dialogue):
     line, clock, reply_s, quiet_s, after_stop
         As for `Dialogue`.
     where : str
-        Asks for the position, whose answer cannot be mistaken for another.
+        Queries the position, whose answer cannot be mistaken for another.
     """
 
     def __init__(
@@ -304,11 +304,11 @@ class ChecksumDialogue(Dialogue):
     ) -> None:
         super().__init__(line, clock, reply_s=reply_s, quiet_s=quiet_s, after_stop=after_stop)
         self._where = where
-        self._bare_resends = False  # it sends no ok behind a request to send again
-        self._spare_ok = False  # that of such a request may still come
+        self._bare_resends = False  # it sends no ok after a request to resend
+        self._spare_ok = False  # the ok of such a request may still follow
 
     def ask(self, request: Request) -> str:
-        """Ask as `Dialogue` does; an `ok` that may be a spare one does not end any waiting."""
+        """As `Dialogue.ask`; an `ok` that may be of a request to resend does not end the wait."""
         answer = self._ask_once(request)
         if self._spare_ok and math.isinf(request.extra_s) and not request.moves:
             answer = self._ask_once(request)
@@ -343,7 +343,7 @@ class ChecksumDialogue(Dialogue):
         )
 
     def _answer(self, request: Request) -> str | None:
-        """Wait for `ok`; None when the controller asks for the line again."""
+        """Wait for `ok`; None if the controller requests the line again."""
         answer = _Answer()
         end_s = self._clock() + self._reply_s + request.extra_s
         while self._clock() < end_s:
@@ -353,14 +353,14 @@ class ChecksumDialogue(Dialogue):
             request.on_line(line)
             if ok := _OK.match(line):
                 if ok[1] and int(ok[1]) != self._number:
-                    continue  # it names the line it answers: another
+                    continue  # it names another line
                 self._bare_resends &= answer.wanted is None
                 answer.lines.append(line[2:])
                 return self._outcome(request, answer)
             if _BUSY.match(line):
                 end_s = max(end_s, self._clock() + self._reply_s)
             elif self._objects(line, request, answer):
-                end_s = self._clock() + self._quiet_s  # an ok may follow, or nothing
+                end_s = self._clock() + self._quiet_s  # an ok may follow
             else:
                 self._notice(line)
                 answer.lines.append(line)
@@ -372,13 +372,13 @@ class ChecksumDialogue(Dialogue):
         return self._outcome(request, answer)
 
     def _objects(self, line: str, request: Request, answer: _Answer) -> bool:
-        """Note a line that asks for a line again or refuses the command; False for any other."""
+        """Store a request to resend or a refusal of the command; return False for other lines."""
         if again := _RESEND.match(line):
             answer.wanted = int(again[1])
         elif again := _LAST_LINE.search(line):
             answer.wanted = int(again[1]) + 1
         elif self._is_of_another_line(line, request.command):
-            answer.wanted = self._number  # noise has spoilt even its number
+            answer.wanted = self._number  # noise has destroyed even its number
         elif _is_refusal(line, request):
             answer.errors.append(line)
         else:
@@ -386,7 +386,7 @@ class ChecksumDialogue(Dialogue):
         return True
 
     def _outcome(self, request: Request, answer: _Answer) -> str | None:
-        """Return what a whole answer says, None if it asks for the line again, or raise."""
+        """Return a complete answer, None if it requests the line again, or raise its error."""
         if answer.wanted is not None:
             return None if self._wants_again(answer.wanted) else "\n".join(answer.lines)
         if answer.errors:
@@ -394,22 +394,22 @@ class ChecksumDialogue(Dialogue):
         return "\n".join(answer.lines)
 
     def _is_of_another_line(self, line: str, command: str) -> bool:
-        """Whether a controller does not know a command that is not the one that was sent."""
+        """Whether a controller refuses a command other than the one that was sent."""
         quoted = _QUOTED.search(line)
         sent = (command, checksummed(self._number, command))
         return quoted is not None and not any(one.startswith(quoted[1]) for one in sent)
 
     def _wants_again(self, wanted: int) -> bool:
-        """Whether a controller wants the last line again, rather than the one after it.
+        """Whether a controller requests the last line again, rather than the next one.
 
         Raises
         ------
         RobotFaultError
-            It wants the first of all: it counts anew.
+            It requests the very first line: it has restarted.
         GarbledReplyError
-            It wants another.
+            It requests another line.
         """
-        if self._number == 0:  # it sets the number
+        if self._number == 0:  # this line sets the number
             return True
         if wanted in (self._number, self._number + 1):
             return wanted == self._number
@@ -420,15 +420,15 @@ class ChecksumDialogue(Dialogue):
 
 
 class HashDialogue(Dialogue):
-    """uArm's dialogue: a motion may be answered only when it has ended, a question at once."""
+    """uArm's dialogue: a motion may be answered only at its end, a query at once."""
 
     def _drain(self, check: Callable[[], None]) -> None:
-        """Listen until nothing more comes, after the end of what may be left of a line."""
+        """Read until there is a silence, after ending a possible partial line."""
         self._line.send(b"\n")
         super()._drain(check)
 
     def _falls_in_step(self, check: Callable[[], None]) -> bool:
-        """Answers have numbers."""
+        """Return True: answers are numbered."""
         del check
         return True
 
@@ -455,20 +455,20 @@ class HashDialogue(Dialogue):
 
 
 def _need_no_restart(line: str) -> None:
-    """Raise for the first words of a controller: one that restarts has lost its home."""
+    """Raise for a controller's greeting: one that restarts has lost its home position."""
     if _RESTARTED.match(line):
         raise RobotFaultError(f"the controller has restarted: {line!r}")
 
 
 def _is_refusal(line: str, request: Request) -> bool:
-    """Whether a line says that a command is not carried out."""
+    """Whether a line refuses a command."""
     if _ERROR.match(line) or _UNKNOWN.search(line):
         return True
     return request.moves and bool(_UNHOMED.search(line) or _BEYOND.search(line))
 
 
 def _refusal(command: str, words: str) -> RobotError:
-    """Return the error that says what the controller's words mean."""
+    """Return the error for a controller's text."""
     message = f"{command}: the controller says {words!r}"
     if _UNKNOWN.search(words):
         return CommandRefusedError(f"{command}: the controller knows no such command: {words!r}")

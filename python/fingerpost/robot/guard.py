@@ -1,22 +1,22 @@
-"""What stands between the pointing hand and the robot.
+"""The guard between the pointing hand and the robot.
 
-A `Guard` is the only way by which guidance moves a robot. It lets a command pass when
+Guidance moves a robot only through its `Guard`. A command passes if
 
-* the robot is homed, has limits that hold the whole safe region, and has been armed on purpose,
-* the operator has been heard of lately (a dead-man's switch),
-* the fix behind the command is one, is fresh, and its ellipse is smaller than the tolerance,
-* the goal is inside the safe region, into which it is moved if it is not.
+* the robot is homed, has limits that contain the whole safe region, and has been armed explicitly,
+* there has been a recent heartbeat of the operator (a dead-man's switch),
+* the fix behind the command has a point, is fresh, and its ellipse is within the tolerance,
+* the goal is inside the safe region; otherwise the goal is moved into it.
 
-`check`, called often (`watching` does it from a thread), stops the robot when one of these ends
-while it moves. Whatever passes or is refused, and every stop, goes into the log with the fix that
-caused it.
+`check`, called often (`watching` does so from a thread), stops the robot when one of these
+conditions fails during motion. Every command, passed or refused, and every stop are logged with the
+fix that caused them.
 
-A stop that raises anything is repeated, by `check`, until it has gone through or its line is known
-to be dead (`fingerpost.robot.stopping`). Until then the guard cannot be armed, and a block that
-ends meanwhile raises an error.
+If a stop raises any exception, `check` repeats it until it has succeeded or its line is known to be
+dead (`fingerpost.robot.stopping`). Until then the guard cannot be armed, and a block that ends
+meanwhile raises an error.
 
-A log that fails never stands in the way of a stop, but nothing passes that could not be logged:
-the failure is kept, and raised at the next command, when arming, or at the end of the block.
+A failing log never prevents a stop, but a command that could not be logged does not pass: the error
+is stored, and raised by the next command, by arming, or at the end of the block.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ __all__ = ["WATCH_S", "CommandRecord", "Guard", "GuardOptions", "Presence", "Rec
 logger = logging.getLogger(__name__)
 
 AWAY_M_S = 0.05
-"""Speed at which the arm makes way [m/s]: whoever is near it may not be seen."""
+"""Speed of a retreat [m/s]: a person near the arm may not be visible."""
 
 ROUNDING_M = 1e-6
-"""A place to visit may be outside the region by this much, and is moved into it [m]."""
+"""Distance outside the region up to which a place to visit is moved into it [m]."""
 
 
 class Guard:
@@ -71,19 +71,19 @@ class Guard:
     Parameters
     ----------
     robot : Robot
-        Connected and homed before it is armed.
+        The robot; connected and homed before it is armed.
     plane : RobotPlane
-        Where the plane lies for it.
+        Position of the plane in the robot's frame.
     region : SafeRegion
-        Where it may go.
+        Permitted region.
     options : GuardOptions
-        When a command may pass.
+        Conditions for commands.
     clock : callable
         The clock of the fixes' `time_s` [s].
     on_record : callable, optional
-        Called with every `CommandRecord`. What it raises for a stop is raised later: by the next
-        command, by `arm`, or at the end of a `with` block or of `watching` that nothing else ends.
-        What it raises for a command voids the command, and the arm is halted.
+        Called with every `CommandRecord`. An exception for a stop is raised later: by the next
+        command, by `arm`, or at the end of a `with` block or of `watching` without another
+        exception. An exception for a command voids the command, and the arm is halted.
 
     Raises
     ------
@@ -112,13 +112,13 @@ class Guard:
             robot, clock=clock, newest_fix=lambda: self.newest_fix, on_record=on_record
         )
         self._allowed = self._without_rim()
-        # Both end with a stop, so each stands beside the number of the last one when it began.
+        # A stop ends both, so each is stored with the number of the last stop before it began.
         self._running: tuple[Presence | None, int] = (None, 0)
         self._entered_after: int | None = None
-        self._heard_s = -np.inf
+        self._heartbeat_s = -np.inf
         self._vouchers = 0
 
-    # The operator's side.
+    # Operator interface.
 
     @property
     def armed(self) -> bool:
@@ -132,26 +132,26 @@ class Guard:
 
     @property
     def busy(self) -> bool:
-        """Whether the arm may still be moving on a command that passed."""
+        """Whether the arm may still execute a command."""
         return self._needs is not None
 
     @property
     def interruptions(self) -> int:
-        """Changes whenever the guard stops the arm: whoever gave a command can see it is void."""
+        """Number that changes with every stop, which voids the commands given before it."""
         return self._interlock.last_stop
 
     @property
     def why_stopped(self) -> str:
-        """Why the guard has stopped the arm the last time, and what of that failed; else empty."""
+        """Reason for the last stop, and whether it failed; empty without one."""
         return self._interlock.why_stopped
 
     def check_limits(self, *, speed_m_s: float | None = None) -> None:
-        """See that the robot has limits, and that they hold the whole safe region and a speed.
+        """Check that the robot has limits that contain the whole safe region and a speed.
 
         Parameters
         ----------
         speed_m_s : float, optional
-            What commands will ask for [m/s]; `max_speed_m_s` by default and at most.
+            Speed of the commands [m/s]; `max_speed_m_s` by default and at most.
 
         Raises
         ------
@@ -160,7 +160,7 @@ class Guard:
         OutOfReachError
             A corner of the region is outside them.
         InvalidInputError
-            The arm cannot go so slowly.
+            The arm cannot move so slowly.
         """
         limits = self._limits()
         limits.speed(self._speed(speed_m_s))
@@ -174,44 +174,44 @@ class Guard:
                     ) from error
 
     def check_gripper(self, target: GripperTarget) -> None:
-        """See that the robot has a gripper that takes a target.
+        """Check that the robot's gripper accepts a target.
 
         Raises
         ------
         NotReadyError
-            No limits, so nothing is known of a gripper.
+            No limits, so the gripper is unknown.
         GripperError
-            No gripper, or a width asked of one that only opens and closes.
+            No gripper, or a width for one that only opens and closes.
         InvalidInputError
-            A width that it does not have.
+            A width out of range.
         """
         self._limits().opening(target)
 
     @property
     def disarmings(self) -> int:
-        """Changes whenever the guard is disarmed."""
+        """Number that changes whenever the guard is disarmed."""
         return self._interlock.last_disarming
 
     def arm(self, disarmings: int | None = None) -> None:
-        """Let commands pass from now on: an operator's explicit command.
+        """Permit commands from now on, by an explicit command of the operator.
 
         Parameters
         ----------
         disarmings : int, optional
-            `disarmings` of when the operator asked for it, so that a stop since then makes it
-            void; of now by default.
+            Value of `disarmings` at the time of the operator's command, so that a stop since then
+            voids it; by default the present value.
 
         Raises
         ------
         NotReadyError
-            The robot is not connected, not homed, in a fault, or has no limits; or a stop has not
-            gone through yet, after one more attempt.
+            The robot is not connected, not homed, in a fault, or has no limits; or a stop has still
+            not succeeded after one more attempt.
         OutOfReachError, InvalidInputError
             As for `check_limits`.
         StoppedError
             Halted meanwhile.
         Exception
-            The log's own: this record, or that of a stop before it, could not be written.
+            Error of the log: this record, or that of an earlier stop, could not be written.
         """
         self._interlock.need_log()
         last_disarming = self.disarmings if disarmings is None else disarmings
@@ -226,18 +226,18 @@ class Guard:
         self._interlock.arm(last_disarming)
 
     def disarm(self) -> None:
-        """Stop, and let nothing pass until armed again."""
+        """Stop, and refuse commands until armed again."""
         self.halt("disarmed by the operator", command="disarm")
 
     def heartbeat(self) -> None:
-        """Tell that the operator is there; call it several times per `operator_timeout_s`."""
-        self._heard_s = self._clock()
+        """Confirm the operator's presence; call it several times per `operator_timeout_s`."""
+        self._heartbeat_s = self._clock()
 
     @contextmanager
     def attended(self) -> Iterator[None]:
-        """Take it that the operator is there as long as the block lasts, as he has just started it.
+        """Assume the operator's presence for the duration of the block.
 
-        For what a person starts and watches over; the signals that end a program end this too.
+        For a procedure that a person starts and supervises; signals that end the program end it.
         """
         self._vouchers += 1
         try:
@@ -247,10 +247,10 @@ class Guard:
             self._vouchers -= 1
 
     def observe(self, fix: Fix) -> None:
-        """Take the newest fix, whatever its status; never waits.
+        """Process the newest fix, of any status; never waits.
 
-        One that is late is no news, and one that no camera can have seen is dropped
-        (`FixGate.observe`): its time or its point is not finite, or ahead of the guard's clock.
+        An older fix is ignored, and an impossible one is dropped (`FixGate.observe`): its time or
+        its point is not finite, or its time is ahead of the guard's clock.
         """
         self._gate.observe(fix)
 
@@ -259,15 +259,15 @@ class Guard:
         """The newest fix that was observed."""
         return self._gate.newest
 
-    # The way to the robot.
+    # Commands to the robot.
 
     def accept(self, fix: Fix) -> NDArray[np.float64]:
-        """Return the point (2,) of a fix that is good enough to move on.
+        """Return the point (2,) of a fix that permits motion.
 
         Raises
         ------
         RefusedError
-            It is not; the message says why.
+            It does not; the message says why.
         """
         doubt = self._gate.doubt(fix, self.options)
         if doubt or fix.point is None:
@@ -285,12 +285,13 @@ class Guard:
         return self._gate.semi_axis_m(fix, self.options.confidence)
 
     def where(self) -> tuple[NDArray[np.float64], float]:
-        """Read where the gripper is: point of the plane (2,) and height above it [m].
+        """Read the gripper's position: point of the plane (2,) and height above it [m].
 
         Raises
         ------
         RobotError
-            It cannot be read; a silent robot has been sent a stop, and the guard is disarmed.
+            It cannot be read; if the robot does not answer, it has been sent a stop, and the guard
+            is disarmed.
         """
         with self._halting("reading the pose"):
             pose = self._robot.pose()
@@ -308,7 +309,7 @@ class Guard:
         return self._outside() is None
 
     def locate(self) -> None:
-        """Read where an arm has come to rest that was stopped on its way; else do nothing.
+        """Read the position of an arm that was stopped during a motion; else do nothing.
 
         Raises
         ------
@@ -319,7 +320,7 @@ class Guard:
             self.where()
 
     def body(self) -> tuple[Capsule, ...]:
-        """Return the room that the arm may take up now, in plane coordinates; never waits.
+        """Return the volume that the arm may occupy now, in plane coordinates; never waits.
 
         As `fingerpost.robot.whereabouts.Whereabouts.body`.
         """
@@ -327,7 +328,7 @@ class Guard:
 
     @property
     def pose(self) -> Pose | None:
-        """Where the gripper was read last, or has arrived since; None before; never waits."""
+        """Last known pose of the gripper, read or reached; None before any; never waits."""
         return self._whereabouts.pose
 
     @property
@@ -337,17 +338,17 @@ class Guard:
 
     @property
     def allowed(self) -> SafeRegion:
-        """The safe region less its rim: where commands may send the gripper to."""
+        """The safe region without its rim: the permitted goals of commands."""
         return self._allowed
 
     def clamp(self, point: ArrayLike, above_m: float) -> tuple[NDArray[np.float64], float]:
-        """Return the nearest place that a command may send the gripper to."""
+        """Return the nearest permitted goal of a command."""
         return self._allowed.clamp(point, above_m)
 
     def enter(self) -> None:
-        """Move from wherever the arm is to the middle of the safe region, at its top, and wait.
+        """Move from any position to the middle of the safe region, at its top, and wait.
 
-        The way there is outside the region: see that it is clear.
+        The path may lie outside the region: make sure that it is clear.
 
         Raises
         ------
@@ -363,9 +364,9 @@ class Guard:
         self._entered_after = last_disarming
 
     def visit(self, point: ArrayLike, above_m: float, *, speed_m_s: float | None = None) -> Pose:
-        """Move the gripper to a place over the plane because the operator's procedure says so.
+        """Move the gripper to a place over the plane, as part of a procedure of the operator.
 
-        No fix stands behind it, so the place is refused rather than moved into the region.
+        Without a fix, a place outside the region is refused rather than moved into it.
 
         Parameters
         ----------
@@ -379,7 +380,7 @@ class Guard:
         Returns
         -------
         Pose
-            The goal, where the arm stands now.
+            The goal, at which the arm now stands.
 
         Raises
         ------
@@ -400,24 +401,24 @@ class Guard:
         self._finish(interruptions)
         return pose
 
-    def make_way(self, aside: ArrayLike | None = None, *, speed_m_s: float = AWAY_M_S) -> Pose:
-        """Move the gripper up and aside, inside the safe region, so that the cameras see the hand.
+    def make_way(self, retreat: ArrayLike | None = None, *, speed_m_s: float = AWAY_M_S) -> Pose:
+        """Move the gripper out of the way, inside the safe region, so that the hand is visible.
 
-        Straight up to the top of the region first, then level. Nothing shows where the hand is:
-        call it on an explicit request only, and keep up the heartbeat only while that lasts.
+        It moves straight up to the top of the region, then horizontally. The position of the hand
+        is unknown: call it only on an explicit request, and send heartbeats only while that lasts.
 
         Parameters
         ----------
-        aside : (2,), optional
-            Plane coordinates of where it is out of the way; the nearest permitted place is taken.
-            By default the robot's own axis, X = Y = 0: the arm draws back towards its base.
+        retreat : (2,), optional
+            Plane coordinates of the destination; the nearest permitted place is used. By default
+            the robot's own axis, X = Y = 0: the arm retreats towards its base.
         speed_m_s : float
             Speed [m/s]; `max_speed_m_s` at most.
 
         Returns
         -------
         Pose
-            Where the arm stands now.
+            Pose of the arm after the retreat.
 
         Raises
         ------
@@ -430,7 +431,7 @@ class Guard:
         here, _ = self.where()
         top_m = self._allowed.highest_m
         self.visit(self.clamp(here, top_m)[0], top_m, speed_m_s=speed_m_s)
-        away = self.plane.point([0.0, 0.0]) if aside is None else aside
+        away = self.plane.point([0.0, 0.0]) if retreat is None else retreat
         return self.visit(self.clamp(away, top_m)[0], top_m, speed_m_s=speed_m_s)
 
     def move(
@@ -452,13 +453,13 @@ class Guard:
         above_m : float
             Height above the plane [m].
         fix : Fix
-            What caused the command.
+            The fix that caused the command.
         needs : Presence
-            What must last while it runs. With `FIX`, `fix` itself must be acceptable.
+            Condition for the whole motion. With `FIX`, `fix` itself must be acceptable.
         speed_m_s : float, optional
             Speed [m/s]; `max_speed_m_s` by default and at most.
         wait : bool
-            Return when the arm stands there.
+            Whether to wait until the arm stands there.
 
         Returns
         -------
@@ -468,15 +469,15 @@ class Guard:
         Raises
         ------
         NotArmedError
-            Not armed, or the operator is gone.
+            Not armed, or the operator is absent.
         RefusedError
-            The fix will not do, or the arm is outside the safe region (`enter` first).
+            The fix does not permit motion, or the arm is outside the safe region (`enter` first).
         StoppedError
             Held or halted meanwhile.
         RobotError
-            The robot's own; the guard has been disarmed.
+            Error of the robot; the guard has been disarmed.
         Exception
-            The log's own; the command has not been sent, and the guard has been disarmed.
+            Error of the log; the command has not been sent, and the guard has been disarmed.
         """
         interruptions = self.interruptions
         newest = self.newest_fix
@@ -518,9 +519,9 @@ class Guard:
         self._interlock.stop(command, reason, disarm=True)
 
     def check(self) -> None:
-        """Stop the arm if what its motion needs has ended; cheap, call it often.
+        """Stop the arm if a condition of its motion has failed; cheap, call it often.
 
-        A stop that has failed is repeated, unless its line is dead.
+        A failed stop is repeated, unless its line is dead.
         """
         self._interlock.repeat()
         if not self.armed:
@@ -540,8 +541,8 @@ class Guard:
         Raises
         ------
         StopFailedError, ConnectionLostError, Exception
-            As at the end of a `with` block: a stop has not gone through, or the log has failed on
-            one, and nothing else has ended the block.
+            As at the end of a `with` block: a stop has not succeeded or could not be logged, and no
+            other exception has ended the block.
         """
         done = threading.Event()
 
@@ -561,12 +562,12 @@ class Guard:
 
     @contextmanager
     def signals(self, *numbers: signal.Signals) -> Iterator[Self]:
-        """Halt on signals, every time, then let them take their course; in the main thread only.
+        """Halt on signals, every time, before their usual effect; in the main thread only.
 
         Parameters
         ----------
         *numbers : signal.Signals
-            Which; SIGINT and SIGTERM by default.
+            The signals; SIGINT and SIGTERM by default.
         """
         with stopping_on(lambda name: self.halt(f"signal {name}"), *numbers):
             yield self
@@ -591,11 +592,11 @@ class Guard:
             raise failure
         self._interlock.need_log()
 
-    # Inside.
+    # Internals.
 
     @property
     def _needs(self) -> Presence | None:
-        """What must last while the command that passed last runs; None if none does."""
+        """Condition of the running command; None without one."""
         needs, interruptions = self._running
         return needs if interruptions == self.interruptions else None
 
@@ -628,7 +629,7 @@ class Guard:
         return goal
 
     def _finish(self, interruptions: int) -> None:
-        """Wait for the arm to arrive, which one that was stopped before the wait has not."""
+        """Wait until the arm arrives; raise if it has been stopped before."""
         with self._uninterrupted("wait", interruptions):
             self._robot.wait()
         self._running = (None, 0)
@@ -636,21 +637,21 @@ class Guard:
 
     @contextmanager
     def _uninterrupted(self, command: str, interruptions: int) -> Iterator[None]:
-        """Void what has been interrupted since it began; halt on failures as `_halting` does."""
+        """Raise if the command has been interrupted; halt on failures as `_halting` does."""
         with self._halting(command):
             self._need_uninterrupted(interruptions)
             yield
             self._need_uninterrupted(interruptions)
 
     def _need_uninterrupted(self, interruptions: int) -> None:
-        """Raise if a stop came in between; it is repeated, as the command may have overtaken it."""
+        """Raise if there was a stop meanwhile; repeat it, as the command may have overtaken it."""
         if self.interruptions != interruptions or not self.armed:
             self._interlock.stop_again()
             raise StoppedError("held or halted before the command was done")
 
     @contextmanager
     def _halting(self, command: str) -> Iterator[None]:
-        """Halt on any failure but a stop, which is one already."""
+        """Halt on any failure, except for a stop, which has halted the arm already."""
         try:
             yield
         except StoppedError:
@@ -660,12 +661,12 @@ class Guard:
             raise
 
     def _watch(self) -> None:
-        """Check, and halt if that fails in any way: a watch that ended would watch nothing."""
+        """Check, and halt on any error: the watch must continue."""
         try:
             self.check()
         except BaseException as error:
             logger.exception("the watch failed")
-            with suppress(BaseException):  # kept by the stopper, and repeated by the next check
+            with suppress(BaseException):  # stored by the stopper, and repeated by the next check
                 self.halt(f"the watch failed: {described(error)}")
 
     def _check_needs(self, state: RobotState) -> None:
@@ -680,7 +681,7 @@ class Guard:
                 self.hold(doubt)
 
     def _need_ready(self) -> None:
-        """See that the robot is connected, well and homed."""
+        """Check that the robot is connected, without fault, and homed."""
         try:
             status = self._robot.status()
             state, homed = status.state, status.homed
@@ -704,7 +705,7 @@ class Guard:
             raise NotArmedError(f"{problem}: call arm()")
 
     def _need_inside(self, fix: Fix | None) -> None:
-        """See once that the gripper is in the region: from there no straight way leads out."""
+        """Check once that the gripper is in the region: straight moves then stay inside it."""
         place = self._outside()
         if place is None:
             return
@@ -717,7 +718,7 @@ class Guard:
         raise RefusedError(problem)
 
     def _outside(self) -> tuple[NDArray[np.float64], float] | None:
-        """Return where the gripper is outside of the region; None if it is inside."""
+        """Return the gripper's position if it is outside the region; None if it is inside."""
         last_disarming = self._interlock.last_disarming
         if self._entered_after == last_disarming:
             return None
@@ -733,16 +734,17 @@ class Guard:
     def _operator_present(self) -> bool:
         if self._vouchers:
             return True
-        heard_s = self._heard_s  # before the clock: another thread may hear of him in between
-        # Of a clock that runs backwards, or gives no number, nothing is believed.
-        return 0 <= self._clock() - heard_s <= self.options.operator_timeout_s
+        # Read before the clock: another thread may renew it in between.
+        heartbeat_s = self._heartbeat_s
+        # A clock that runs backwards, or returns NaN, is not trusted.
+        return 0 <= self._clock() - heartbeat_s <= self.options.operator_timeout_s
 
     def _without_rim(self) -> SafeRegion:
         self.plane.position_m(self.region.corners)
         return self.region.inset(self._clearance(), self.options.clearance_m)
 
     def _clearance(self) -> float:
-        """Return the clearance in plane units, where the plane is stretched most."""
+        """Return the clearance in plane units, at the greatest scale of the plane."""
         jacobians = transfer_jacobian_by_point(self.plane.robot_from_plane, self.region.corners)
         least = float(np.linalg.svd(jacobians, compute_uv=False).min())
         return self.options.clearance_m / least

@@ -1,8 +1,8 @@
-"""Whether commands may pass to a robot: armed by an operator, disarmed by stops, on record.
+"""Interlock of the commands to a robot: armed by an operator, disarmed by stops, recorded.
 
-Stops come from every thread and from signal handlers, also while the robot is being armed. So each
-has a number of its own, and to be armed means that no stop that disarms has come since: no lock is
-needed, and arming cannot undo a stop that it has not seen.
+Stops may come from any thread and from signal handlers, also while the robot is being armed. Each
+stop therefore has a number, and armed means that there has been no disarming stop since arming: no
+lock is needed, and arming cannot undo a stop that it did not know.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from fingerpost.robot.stopping import SENT, WATCH_S, Stopper, described
 logger = logging.getLogger(__name__)
 
 LAST_STOP_S = 1.0
-"""The end of a block repeats a stop that fails for this long [s], and then says that it failed."""
+"""Time for which a failing stop is repeated at the end of a block, before it is reported [s]."""
 
 
 class Interlock:
-    """Arms and stops one robot, and records what passes.
+    """Arms and stops one robot, and records commands.
 
     Parameters
     ----------
     robot : Robot
-        Whose stop may raise anything.
+        The robot; its stop may raise any exception.
     clock : callable
         The clock of the records [s].
     newest_fix : callable
-        Returns the fix that goes into the record of a stop.
+        Returns the fix for the record of a stop.
     on_record : callable, optional
-        Called with every record; what it raises is raised later, by `need_log`.
+        Called with every record; its exceptions are raised later, by `need_log`.
     """
 
     def __init__(
@@ -72,12 +72,12 @@ class Interlock:
 
     @property
     def last_disarming(self) -> int:
-        """The number of the last stop that has disarmed."""
+        """The number of the last disarming stop."""
         return self._last_disarming
 
     @property
     def why_stopped(self) -> str:
-        """Why the arm was stopped the last time, and what of that failed; else empty."""
+        """Reason for the last stop, and whether it failed; empty without one."""
         return self._why_stopped
 
     @property
@@ -86,14 +86,14 @@ class Interlock:
         return self._records.kept
 
     def arm(self, last_disarming: int) -> None:
-        """Let commands pass, unless a stop has disarmed since one of a given number.
+        """Permit commands, unless there has been a disarming stop after the one given.
 
         Raises
         ------
         StoppedError
-            One has.
+            There has been one.
         Exception
-            The log's own; the interlock stays disarmed.
+            Error of the log; the interlock stays disarmed.
         """
         self._armed_after = last_disarming
         self.record("arm", "")
@@ -103,7 +103,7 @@ class Interlock:
     def stop(self, command: str, reason: str, *, disarm: bool) -> None:
         """Stop the arm; a stop that fails disarms, and is repeated by `repeat`."""
         self._cause = (command, reason)
-        self._why_stopped = reason  # known before anyone sees that commands may not pass
+        self._why_stopped = reason  # set before the interlock is seen to be disarmed
         if disarm:
             self._disarm()
         self._last_stop = next(self._numbers)
@@ -120,7 +120,7 @@ class Interlock:
             self._repeat()
 
     def need_stops(self) -> None:
-        """See that every stop has gone through, after one more attempt if one has failed.
+        """Check that every stop has succeeded, after one more attempt if one has failed.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class Interlock:
             )
 
     def finish(self) -> RobotError | None:
-        """Repeat a failing stop for `LAST_STOP_S`; return an error if it has not gone through."""
+        """Repeat a failing stop for `LAST_STOP_S`; return an error if it has not succeeded."""
         for _ in range(round(LAST_STOP_S / WATCH_S)):
             self.repeat()
             if self._stopper.failure is None or self._stopper.line_is_dead:
@@ -163,18 +163,18 @@ class Interlock:
         fix: Fix | None = None,
         outcome: str = SENT,
     ) -> None:
-        """Record a command, which does not pass if that fails.
+        """Record a command, which is refused if that fails.
 
         Raises
         ------
         Exception
-            The log's own; the arm has been stopped.
+            Error of the log; the arm has been stopped.
         """
         self._add(command, detail, pose, fix, outcome)
         self.need_log()
 
     def need_log(self) -> None:
-        """Halt and raise if the log has failed since this was last asked."""
+        """Halt and raise if the log has failed since the last call."""
         error = self._records.error
         if error is None:
             return
@@ -189,7 +189,7 @@ class Interlock:
     def _send(self) -> str:
         try:
             return self._stopper.send()
-        except BaseException as error:  # Ctrl-C in the middle of it: it is repeated as well
+        except BaseException as error:  # interrupted by Ctrl-C: it is repeated as well
             self._report(described(error))
             raise
 
@@ -198,7 +198,7 @@ class Interlock:
             self._report(outcome)
 
     def _report(self, outcome: str) -> None:
-        """Say how a stop went; commands may not pass while the arm may still move."""
+        """Report the outcome of a stop; disarm while the arm may still move."""
         command, reason = self._cause
         if self._stopper.failure is not None:
             self._disarm()
@@ -213,6 +213,6 @@ class Interlock:
         self, command: str, detail: str, pose: Pose | None, fix: Fix | None, outcome: str
     ) -> None:
         time_s = math.nan
-        with suppress(Exception):  # a clock that fails does not keep a stop from the record
+        with suppress(Exception):  # a failing clock must not prevent the record of a stop
             time_s = self._clock()
         self._records.add(CommandRecord(time_s, command, detail, pose, fix, outcome))

@@ -1,7 +1,7 @@
-"""How an arm without metal moves: queued paths, each run with a trapezoidal speed.
+"""Motion of a simulated arm: queued paths, each with a trapezoidal speed profile.
 
-Everything is a function of time: a position is computed for the moment it is asked for, so an
-emulator may run a thousand times faster than its arm would.
+All quantities are functions of time: a position is computed for the requested time, so an emulator
+may run a thousand times faster than its arm would.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ Vector: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Ramp:
-    """A trapezoidal run: speed up, hold, slow down; a triangle when the way is short.
+    """A trapezoidal speed profile: accelerate, hold, decelerate; triangular for a short distance.
 
     Parameters
     ----------
     length : float
-        Way to go, ≥ 0, in any unit.
+        Distance, ≥ 0, in any unit.
     speed : float
         Greatest speed [unit/s], > 0.
     acceleration : float
-        Up and down alike [unit/s²], > 0.
+        Acceleration and deceleration [unit/s²], > 0.
     """
 
     length: float
@@ -43,12 +43,12 @@ class Ramp:
     @property
     def duration_s(self) -> float:
         """Time from start to standstill [s]."""
-        if self.peak == 0:  # no way, or one lost in rounding
+        if self.peak == 0:  # no distance, or one lost in rounding
             return 0.0
         return self.length / self.peak + self.peak / self.acceleration
 
     def at(self, time_s: float) -> float:
-        """Return the way gone after a time, from 0 to `length`."""
+        """Return the distance covered after a time, from 0 to `length`."""
         if time_s >= self.duration_s:
             return self.length
         if time_s <= 0:
@@ -64,12 +64,12 @@ class Ramp:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """A way from one configuration to another.
+    """A path from one configuration to another.
 
     Attributes
     ----------
     at : callable
-        Configuration at a share 0 … 1 of the way.
+        Configuration at a fraction 0 … 1 of the path.
     goal : ndarray
         Configuration at its end.
     length : float
@@ -99,7 +99,7 @@ class _Run:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """Where an arm rests before its runs, and these; the last one determines where it will end."""
+    """Rest position of an arm and its queued runs; the last run determines its end."""
 
     rest: Vector
     runs: tuple[_Run, ...] = ()
@@ -117,12 +117,12 @@ class _Plan:
 
 
 class MotionQueue:
-    """Paths run one after the other.
+    """Paths executed one after the other.
 
-    It may be used from several threads, and aborted from a signal's handler, where a lock could
-    wait for the very thread it has interrupted: looking changes nothing, and what changes puts a
-    whole new plan in place of the old. Of an `add` and an `abort` at the same moment either may
-    win; who must know that the abort has won aborts again after adding.
+    It may be used from several threads, and aborted from a signal handler, where a lock could wait
+    for the thread that it has interrupted. Queries therefore change nothing, and changes replace
+    the whole plan. Of a simultaneous `add` and `abort` either may take effect last; to make sure of
+    the abort, abort again after adding.
 
     Parameters
     ----------
@@ -135,11 +135,11 @@ class MotionQueue:
 
     @property
     def end(self) -> Vector:
-        """Configuration when everything queued is done."""
+        """Configuration at the end of all queued paths."""
         return self._plan.end
 
     def add(self, path: Path, speed: float, acceleration: float, now_s: float) -> float:
-        """Queue a path from `end`; return when it will be done [s]."""
+        """Queue a path from `end`; return the time of its end [s]."""
         plan = self._plan
         ahead = plan.ahead(now_s)
         start_s = ahead[-1].end_s if ahead else now_s
@@ -148,15 +148,15 @@ class MotionQueue:
         return run.end_s
 
     def position(self, now_s: float) -> Vector:
-        """Return the configuration now."""
+        """Return the present configuration."""
         return self._plan.position(now_s)
 
     def is_moving(self, now_s: float) -> bool:
-        """Whether something is still being run."""
+        """Whether a path is still in execution."""
         return bool(self._plan.ahead(now_s))
 
     def abort(self, now_s: float) -> None:
-        """Stand still where the arm is, and forget the rest."""
+        """Stop at the present configuration, and drop all queued paths."""
         self._plan = _Plan(self.position(now_s))
 
 
@@ -168,8 +168,8 @@ def straight(start: Vector, goal: Vector, *, lengths: slice) -> Path:
     start, goal : ndarray
         Its ends.
     lengths : slice
-        The components that make its length; where they do not change, the greatest change of any
-        other does, so that a turn on the spot takes its time too.
+        The components that define its length; if they do not change, the greatest change of any
+        other one does, so that a rotation on the spot takes time as well.
     """
     change = goal - start
     length = float(np.linalg.norm(change[lengths]))

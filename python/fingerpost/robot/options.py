@@ -1,8 +1,8 @@
-"""Options that keep to their ranges, whoever makes them.
+"""Options whose ranges are checked in every constructor.
 
-The range of every option stands once, in the annotation of its field. `msgspec` reads it when it
-converts text; a struct's constructor does not, so `CheckedOptions` does: the origin of an
-option makes no difference, be it a command line, a URL, or a program.
+The range of every option is defined once, in the annotation of its field. `msgspec` checks it when
+it converts text, but not in a struct's constructor, so `CheckedOptions` does. Options from a
+command line, a URL or a program are thus treated equally.
 """
 
 from __future__ import annotations
@@ -24,20 +24,19 @@ _BOUNDS: dict[str, tuple[Callable[[Any, Any], bool], str]] = {
     "lt": (operator.lt, "to below"),
     "le": (operator.le, "to"),
 }
-"""The bounds of `msgspec.Meta`: what a value must satisfy, and how that is said,
-the lower one first."""
+"""The bounds of `msgspec.Meta`: the condition and its text, the lower bound first."""
 
 
 class CheckedOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of all options: refuses what the annotations of its fields do not allow.
+    """Base class of all options: refuses values that the annotations of its fields exclude.
 
-    A number is finite, whatever its bounds.
+    A number must be finite, regardless of its bounds.
 
     Raises
     ------
     InvalidInputError
-        A field is of another type or out of its range; the message names it, its value and what
-        would be right.
+        A field has another type or is out of range; the message names it, its value and what would
+        be right.
     """
 
     def __post_init__(self) -> None:
@@ -49,7 +48,7 @@ class CheckedOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 def _fits(value: Any, kind: Any) -> bool:
-    """Whether a value is what an annotation allows."""
+    """Whether a value satisfies an annotation."""
     arguments = get_args(kind)
     match get_origin(kind):
         case origin if origin in (Union, UnionType):
@@ -74,12 +73,12 @@ def _fits(value: Any, kind: Any) -> bool:
     number: type[Any] = numbers.Real if kind is float else numbers.Integral
     if not isinstance(value, number) or isinstance(value, bool):
         return False
-    # NaN fails the comparison; so do infinity and whole numbers beyond any float.
+    # NaN fails the comparison; so do infinity and integers beyond the range of floats.
     return bool(-sys.float_info.max <= value <= sys.float_info.max)
 
 
 def _words(kind: Any) -> str:
-    """Say what an annotation allows."""
+    """Describe the values that satisfy an annotation."""
     arguments = get_args(kind)
     match get_origin(kind):
         case origin if origin in (Union, UnionType):

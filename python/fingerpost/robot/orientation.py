@@ -1,4 +1,4 @@
-"""Between a `Pose`'s angles and what six-axis arms want: a rotation vector, or roll, pitch, yaw.
+"""Conversion between a `Pose`'s angles and the rotation vectors or fixed angles of six-axis arms.
 
 A `Pose` describes the gripper by its approach direction, R = Rz(yaw) · Ry(−pitch) · Rx(roll) with
 the approach along the gripper's own x axis. Six-axis arms have their tool's z axis along the
@@ -16,7 +16,7 @@ GRIPPER_FROM_TOOL = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]
 """Axes of the tool frame in the gripper frame: the tool's z is the gripper's x."""
 
 GIMBAL_RAD = 1e-6
-"""So near the vertical, roll and yaw turn about the same axis: all of it is called roll."""
+"""Angle from the vertical below which roll and yaw have the same axis: yaw is set to 0 then."""
 
 
 def tool_rotation(pitch_rad: float, roll_rad: float, yaw_rad: float) -> NDArray[np.float64]:
@@ -47,7 +47,7 @@ def rotation_vector(R: NDArray[np.float64]) -> NDArray[np.float64]:
 def quaternion(R: NDArray[np.float64]) -> tuple[float, float, float, float]:
     """Return w ≥ 0, x, y, z of a rotation (3, 3).
 
-    They come from the largest of the four, so that half a turn is exact too.
+    Computed from the largest of the four, so that half a turn is exact as well.
     """
     squares = np.array(
         [

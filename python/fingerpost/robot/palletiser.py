@@ -6,8 +6,8 @@ rod and so independently of the upper arm: all angles are absolute. With upper a
 
     r = a cos α + b cos φ + r₀,    z = a sin α + b sin φ + z₀,    (x, y) = r (cos θ, sin θ)
 
-A straight line of the joints is a curve of the hand, which leaves the straight way between the same
-two places by a tenth of it, say. So it matters how a controller interpolates.
+A straight line in joint space is a curve of the hand, which deviates from the straight line between
+its ends by about a tenth of its length. The controller's interpolation therefore matters.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class Palletiser:
     upper_mm, fore_mm : float
         Link lengths a and b [mm].
     hand_out_mm, hand_up_mm : float
-        The working point from the forearm's end, with the shoulder's place in the robot's frame:
-        r₀ and z₀ [mm].
+        Working point relative to the forearm's end, plus the shoulder's position in the robot's
+        frame: r₀ and z₀ [mm].
     base_deg, upper_deg, fore_deg, elbow_deg : tuple of 2 floats
         Least and greatest θ, α, φ and α − φ [°].
     """
@@ -47,7 +47,7 @@ class Palletiser:
     elbow_deg: tuple[float, float]
 
     def position_mm(self, joints_deg: ArrayLike) -> NDArray[np.float64]:
-        """Return where the hand is.
+        """Return the position of the hand.
 
         Parameters
         ----------
@@ -65,7 +65,7 @@ class Palletiser:
         return np.stack([r * np.cos(base), r * np.sin(base), z], axis=-1)
 
     def joints_deg(self, position_mm: ArrayLike) -> Joints:
-        """Return the joint angles that put the hand somewhere, elbow up.
+        """Return the joint angles for a position of the hand, elbow up.
 
         Parameters
         ----------
@@ -75,12 +75,12 @@ class Palletiser:
         Returns
         -------
         ndarray
-            θ, α, φ (..., 3) [°]; NaN where the arm cannot be.
+            θ, α, φ (..., 3) [°]; NaN out of reach.
         """
         x, y, z = np.moveaxis(np.asarray(position_mm, dtype=np.float64), -1, 0)
         out = np.hypot(x, y) - self.hand_out_mm
         up = z - self.hand_up_mm
-        distance = np.maximum(np.hypot(out, up), 1e-9)  # at the shoulder itself no triangle closes
+        distance = np.maximum(np.hypot(out, up), 1e-9)  # the triangle degenerates at the shoulder
         elevation = np.arctan2(up, out)
         with np.errstate(invalid="ignore"):  # too far or too near: NaN
             above = np.arccos(_cosine(self.upper_mm, distance, self.fore_mm))

@@ -1,10 +1,10 @@
-"""Picking a block up and placing it elsewhere, as a small machine of explicit steps.
+"""Picking up a block and placing it elsewhere, as a state machine of explicit steps.
 
     approach → descend → grip → lift → go → lower → release → retreat
 
-Every step can be undone and every step can be aborted. A step goes to a place that is fixed when
-the machine is made, so an interrupted step can simply be taken again; what undoes it leads back to
-where it began, from wherever it was interrupted.
+Every step can be undone and aborted. The goal of a step is fixed when the machine is made, so an
+interrupted step can simply be repeated. Undoing it leads back to its start, from any point of
+interruption.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ class PickPlaceOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown
     Attributes
     ----------
     travel_m : float
-        Height above the plane on the way [m]; above everything that stands there, and no lower
+        Height above the plane during horizontal motion [m]; above all objects there, and no lower
         than the two places.
     grip_m, release_m : float
-        Heights above the plane at which the block is gripped and let go [m], ≥ 0.
+        Heights above the plane at which the block is gripped and released [m], ≥ 0.
     grip : float, "open" or "close"
-        What the gripper does to hold the block.
+        Command of the gripper that holds the block.
     speed_m_s, slow_m_s : float
-        Speed on the way, and up and down [m/s].
+        Speed of horizontal and of vertical motion [m/s].
     needs : Presence
-        What must last throughout: the operator, or a live fix as well.
+        Condition throughout: the operator's presence, or a live fix as well.
 
     Raises
     ------
     InvalidInputError
-        A value that is out of its range, or a way that is lower than a place.
+        A value out of range, or a travel height lower than a place.
     """
 
     travel_m: Annotated[float, msgspec.Meta(ge=0, le=10)] = 0.1
@@ -68,9 +68,9 @@ class PickPlaceOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown
 
 
 def check_heights(guard: Guard, options: PickPlaceOptions) -> None:
-    """See that the safe region allows all heights of picking and placing.
+    """Check that the safe region includes all heights of picking and placing.
 
-    Ask before the arm is homed: the heights are the same wherever the blocks are.
+    Call it before the arm is homed: the heights do not depend on the blocks' places.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def check_heights(guard: Guard, options: PickPlaceOptions) -> None:
 
 
 class Step(StrEnum):
-    """The steps, in their order."""
+    """The steps, in order."""
 
     APPROACH = "approach"
     DESCEND = "descend"
@@ -110,24 +110,24 @@ class _Action:
 
 
 class PickPlace:
-    """One block from one place to another.
+    """Moves one block from one place to another.
 
     Parameters
     ----------
     guard : Guard
-        Armed, the gripper inside the safe region.
+        Armed guard, with the gripper inside the safe region.
     pick, place : Selection
-        Where the block is and where it shall go.
+        Present place and destination of the block.
     options : PickPlaceOptions
         Heights, speeds and grip.
 
     Raises
     ------
     InvalidInputError
-        A height or place that the safe region does not allow: for a block, the nearest permitted
-        place is the wrong one.
+        A height or place outside the safe region: for a block, the nearest permitted place would be
+        wrong.
     GripperError
-        The robot's gripper does not do what the options want.
+        The robot's gripper cannot execute the options' command.
     """
 
     def __init__(
@@ -153,7 +153,7 @@ class PickPlace:
 
     @property
     def next_step(self) -> Step | None:
-        """The step that `advance` takes; None when all are done."""
+        """The step that `advance` executes; None when all are done."""
         return STEPS[self._completed] if self._completed < len(STEPS) else None
 
     @property
@@ -163,16 +163,16 @@ class PickPlace:
 
     @property
     def done(self) -> bool:
-        """Whether all steps have been taken."""
+        """Whether all steps are done."""
         return self._completed == len(STEPS)
 
     def advance(self) -> Step:
-        """Take the next step, or take an interrupted one again, and return it.
+        """Execute the next step, or repeat an interrupted one, and return it.
 
         Raises
         ------
         NotReadyError
-            All steps have been taken, or one is being taken.
+            All steps are done, or one is in progress.
         RobotError
             It was stopped or failed; it counts as interrupted.
         """
@@ -184,7 +184,7 @@ class PickPlace:
         return step
 
     def run(self) -> None:
-        """Take all steps that are left.
+        """Execute all remaining steps.
 
         Raises
         ------
@@ -195,14 +195,14 @@ class PickPlace:
             self.advance()
 
     def undo(self) -> Step:
-        """Undo what was begun last and return it; it becomes the next step.
+        """Undo the last step begun and return it; it becomes the next step.
 
         Raises
         ------
         NotReadyError
-            Nothing has been done yet, or a step is being taken.
+            No step has been done, or one is in progress.
         RobotError
-            It was stopped or failed; undo again to go on.
+            It was stopped or failed; undo again to continue.
         """
         if not self._interrupted:
             if self._completed == 0:
@@ -213,7 +213,7 @@ class PickPlace:
         return step
 
     def abort(self) -> None:
-        """Stop at once and disarm; the gripper keeps what it holds. From any thread.
+        """Stop at once and disarm; the gripper keeps its grip. From any thread.
 
         Afterwards, arm the guard again and `undo` or `advance`.
         """
@@ -245,7 +245,7 @@ class PickPlace:
         }
 
     def _approach(self) -> None:
-        """Open the gripper, go straight up, then over the block."""
+        """Open the gripper, move straight up, then over the block."""
         here, above_m = self._guard.where()
         if self._start is None:
             self._start = (here, above_m)
@@ -254,7 +254,7 @@ class PickPlace:
         self._move(self._pick.point, self._options.travel_m, self._pick, self._options.speed_m_s)
 
     def _return(self) -> None:
-        """Go back over where the approach began, then down to its height."""
+        """Move back above the start of the approach, then down to its height."""
         if self._start is None:
             return
         point, above_m = self._start

@@ -1,8 +1,9 @@
-"""Where the working plane lies for the robot.
+"""Position of the working plane in the robot's frame.
 
 Section 3.4 of the paper (Cipolla, Hadfield & Hollinghurst 1994): the gripper visits points of a
-plane, which ties the plane to the robot's own coordinates. The tie is a homography from plane
-coordinates to the robot's X and Y, with the covariance of its entries, and the plane's height.
+plane, which registers the plane with the robot's own coordinates. The registration consists of a
+homography from plane coordinates to the robot's X and Y, with the covariance of its entries, and
+the plane's height.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def _exact() -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class RobotPlane:
-    """The tie between the working plane and the robot's frame.
+    """Registration of the working plane with the robot's frame.
 
     Parameters
     ----------
@@ -43,16 +44,16 @@ class RobotPlane:
     height_m : float
         The plane's Z in the robot's frame, at X = Y = 0 [m].
     entries_covariance : (9, 9)
-        Of the entries of `robot_from_plane`, row by row; zero for one known exactly.
+        Covariance of the entries of `robot_from_plane`, row by row; zero if known exactly.
     slope : (2,)
-        How the plane's Z changes with the robot's X and Y [m per m]; a table is rarely level.
+        Gradient of the plane's Z by the robot's X and Y [m per m]; a table is rarely level.
     pitch_rad, roll_rad, yaw_rad : float, optional
-        How the gripper is held over the plane, as in `Pose` [rad].
+        Orientation of the gripper over the plane, as in `Pose` [rad].
 
     Raises
     ------
     InvalidInputError
-        Other shapes, NaN, a singular homography, something that is no covariance.
+        Other shapes, NaN, a singular homography, or a matrix that is not a covariance.
     """
 
     robot_from_plane: NDArray[np.float64]
@@ -75,7 +76,7 @@ class RobotPlane:
 
     @classmethod
     def same(cls, height_m: float, *, unit_m: float = 1.0) -> RobotPlane:
-        """Tie of a plane whose coordinates are the robot's own X and Y.
+        """Registration of a plane whose coordinates are the robot's own X and Y.
 
         Parameters
         ----------
@@ -93,7 +94,7 @@ class RobotPlane:
         Raises
         ------
         InvalidInputError
-            A point where ``W ≤ 0``: the tie does not reach it.
+            A point with ``W ≤ 0``, outside the domain of the homography.
         """
         position = transfer_to_image(self.robot_from_plane, point)
         if np.isnan(position).any():
@@ -108,7 +109,7 @@ class RobotPlane:
         Raises
         ------
         InvalidInputError
-            Beyond the horizon of the tie.
+            Beyond the horizon of the homography.
         """
         point = transfer_to_plane(self.robot_from_plane, position_m)
         if np.isnan(point).any():
@@ -118,12 +119,12 @@ class RobotPlane:
         return point
 
     def covariance_m2(self, point: ArrayLike, covariance: ArrayLike) -> NDArray[np.float64]:
-        """Return the covariance of a point's X, Y [m²], that of the tie counted.
+        """Return the covariance of a point's X, Y [m²], including that of the registration.
 
         Parameters
         ----------
         point : (2,)
-            On the plane.
+            Point of the plane.
         covariance : (2, 2)
             Its covariance [plane units²].
         """
@@ -135,7 +136,7 @@ class RobotPlane:
         )
 
     def pose(self, point: ArrayLike, above_m: float) -> Pose:
-        """Return the pose of a gripper over a point (2,) of the plane, so high above it [m]."""
+        """Return the pose of a gripper at a height [m] above a point (2,) of the plane."""
         x, y = self.position_m(finite_array(point, "point", (2,)))
         return Pose(
             float(x),
@@ -147,9 +148,9 @@ class RobotPlane:
         )
 
     def capsules(self, parts: Iterable[Capsule]) -> tuple[Capsule, ...]:
-        """Return parts of the robot's frame [m] in plane coordinates and units.
+        """Transform capsules from the robot's frame [m] to plane coordinates and units.
 
-        A part that ends beyond the horizon of the tie is left out: no view of the plane shows it.
+        A capsule that ends beyond the horizon is left out: no view of the plane shows it.
         """
         known = []
         for part in parts:
@@ -165,7 +166,7 @@ class RobotPlane:
         return tuple(known)
 
     def above_m(self, pose: Pose) -> float:
-        """Return how high a pose is above the plane [m]; negative below."""
+        """Return the height of a pose above the plane [m]; negative below."""
         return pose.z_m - self._surface_m(pose.position_m[:2])
 
     def _surface_m(self, position_m: NDArray[np.float64]) -> float:

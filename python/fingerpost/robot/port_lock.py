@@ -1,9 +1,9 @@
-"""One program a port: a serial device is locked while it is open, and who has it is named.
+"""Exclusive use of a port: a serial device is locked while it is open, and its user is named.
 
-Two programs that read one port take each other's answers away. While a device is open, `flock`
-keeps out every program that locks as well, and `TIOCEXCL` all programs but root's. A program that
-opened the device before, and locks nothing, is found below `/proc`, which also names the holder of
-a lock; where there is no `/proc`, the other program goes unnamed.
+Two programs that read one port lose each other's answers. While a device is open, `flock` excludes
+every program that locks as well, and `TIOCEXCL` all programs except root's. A program that opened
+the device before, without a lock, is found in `/proc`, which also names the holder of a lock;
+without `/proc` the other program is not named.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PSEUDO_TERMINAL_MAJORS = range(136, 144)
 """Major device numbers of pseudo-terminals in Linux."""
 
 MEMORY_MAJOR = 1
-"""That of `/dev/null` and its like, which everybody has open."""
+"""Major device number of `/dev/null` and similar devices, which many programs have open."""
 
 MASTERS = ("/dev/ptmx", "/dev/pts/ptmx")
 """Devices by which a program makes and serves a pseudo-terminal."""
@@ -33,13 +33,13 @@ COMMAND_WIDTH = 80
 """Longest command line that is shown, in characters: a message is one line."""
 
 HELD_BY_ANOTHER = frozenset({errno.EAGAIN, errno.EBUSY})
-"""Errors of opening and locking that mean that another program was there before."""
+"""Errors of opening and locking that mean that another program uses the device."""
 
 
 def need_free(device: str) -> None:
-    """Refuse a device that another program has open, whether it has locked it or not.
+    """Refuse a device that another program has open, with or without a lock.
 
-    A program that serves a pseudo-terminal, as an emulator does, may have both of its ends open.
+    A program that serves a pseudo-terminal, such as an emulator, may have both of its ends open.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def need_free(device: str) -> None:
 
 
 def in_use(device: str) -> PortInUseError:
-    """Return the error for a device that could not be opened or locked, naming who holds it.
+    """Return the error for a device that could not be opened or locked, naming its user.
 
     Parameters
     ----------
@@ -67,15 +67,15 @@ def in_use(device: str) -> PortInUseError:
 
 
 def keep_others_out(descriptor: int) -> None:
-    """Let nobody else open a device until `let_others_in`, root excepted.
+    """Prevent others, except root, from opening a device until `let_others_in`.
 
-    Not on pseudo-terminals: there it would outlive a program that is killed, as the emulator at the
-    other end has the device open too.
+    Pseudo-terminals are excepted: there the lock would outlive a killed program, because the
+    emulator at the other end has the device open as well.
 
     Parameters
     ----------
     descriptor : int
-        Of the open device.
+        File descriptor of the open device.
     """
     import termios  # not on Windows, where devices are never shared
 
@@ -89,7 +89,7 @@ def let_others_in(descriptor: int) -> None:
     Parameters
     ----------
     descriptor : int
-        Of the open device.
+        File descriptor of the open device.
     """
     import termios
 
@@ -99,7 +99,7 @@ def let_others_in(descriptor: int) -> None:
 def _request(descriptor: int, request: int) -> None:
     import fcntl
 
-    with suppress(OSError):  # no terminal, or the cable is out
+    with suppress(OSError):  # not a terminal, or disconnected
         fcntl.ioctl(descriptor, request)
 
 
@@ -126,7 +126,7 @@ def _command(process: int) -> str:
 
 
 def _users(device: str) -> Iterator[int]:
-    """Yield the other processes that have a device open, those that serve it excepted."""
+    """Yield the other processes that have a device open, except those that serve it."""
     try:
         wanted = Path(device).stat()
     except OSError:
@@ -142,7 +142,7 @@ def _users(device: str) -> Iterator[int]:
 
 
 def _uses(process: Path, device: os.stat_result) -> bool:
-    """Whether a process has a device open without serving it; False where we may not look."""
+    """Whether a process has a device open without serving it; False without permission to know."""
     opened = False
     with suppress(OSError):
         for descriptor in (process / "fd").iterdir():

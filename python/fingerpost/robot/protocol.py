@@ -1,8 +1,8 @@
-"""What every robot looks like from here: one protocol in metres, radians and seconds.
+"""Common protocol of all robots, in metres, radians and seconds.
 
-An arm differs from the next in its units, in how many of the gripper's angles it can set, and in
-how it says that it has arrived. `Robot` hides all of that. Anything that has these methods is a
-robot; drivers of this package share their bookkeeping in `fingerpost.robot.arm.Arm`.
+Arms differ in their units, in the angles of the gripper that they can set, and in how they report
+arrival. `Robot` hides these differences. Any object with these methods is a robot; the drivers of
+this package share their bookkeeping in `fingerpost.robot.arm.Arm`.
 
 Frames and angles. Positions are in the robot's own base frame, z up. The gripper's approach
 direction has elevation `pitch_rad` above the horizontal (−π/2 points straight down) and azimuth
@@ -31,7 +31,7 @@ TOOL_DOWN_RAD = -math.pi / 2
 
 
 class Angle(StrEnum):
-    """One of the angles that place a gripper; the value is its field's name in `Pose`."""
+    """An angle of a gripper's orientation; the value is the name of its field in `Pose`."""
 
     PITCH = "pitch_rad"
     ROLL = "roll_rad"
@@ -40,15 +40,15 @@ class Angle(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where the gripper is, or shall be, in the robot's frame.
+    """Actual or commanded pose of the gripper in the robot's frame.
 
     Parameters
     ----------
     x_m, y_m, z_m : float
         Position of the gripper's working point [m]; finite.
     pitch_rad, roll_rad, yaw_rad : float, optional
-        Angles as in this module's heading [rad]. None in a command keeps what is; None in a
-        reading means that this arm does not set the angle.
+        Angles as defined in this module's docstring [rad]. None in a command keeps the angle; None
+        in a reading means that this arm does not set it.
 
     Raises
     ------
@@ -75,7 +75,7 @@ class Pose:
         return np.array([self.x_m, self.y_m, self.z_m])
 
     def distance_m(self, other: Pose) -> float:
-        """Distance between the positions of two poses [m]; the angles do not count."""
+        """Distance between the positions of two poses [m], without regard to angles."""
         return math.dist((self.x_m, self.y_m, self.z_m), (other.x_m, other.y_m, other.z_m))
 
     def at_height(self, z_m: float) -> Pose:
@@ -88,7 +88,7 @@ class Pose:
         Raises
         ------
         InvalidInputError
-            Some of the three are given and others not.
+            Only some of the three are given.
         """
         pitch, roll, yaw = self.pitch_rad, self.roll_rad, self.yaw_rad
         if pitch is not None and roll is not None and yaw is not None:
@@ -120,12 +120,12 @@ class GripperKind(StrEnum):
 
 
 GripperTarget: TypeAlias = float | Literal["open", "close"]
-"""An opening in metres, or one of the two ends."""
+"""An opening [m], or one of the two ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What a robot may be asked for. Nothing moves while a robot has none.
+    """Limits of the commands to a robot, which does not move without any.
 
     Parameters
     ----------
@@ -134,14 +134,14 @@ class Limits:
     max_speed_m_s : float
         Greatest speed of the gripper [m/s], > 0.
     min_speed_m_s : float
-        Least speed that the arm can be set to [m/s], ≥ 0; a slower one is refused, as the arm would
-        go faster than asked.
+        Least speed that the arm can be set to [m/s], ≥ 0; a slower one is refused, because the arm
+        would move faster.
     reach_m : float, optional
         Greatest distance from the base's vertical axis [m], > 0.
     min_reach_m : float
         Least distance from that axis [m], ≥ 0.
     angles : frozenset of Angle
-        The angles this arm can set; a pose that gives another is refused.
+        The angles that this arm can set; a pose with another is refused.
     gripper : GripperKind
         Commands of the gripper.
     gripper_opening_m : float, optional
@@ -219,12 +219,12 @@ class Limits:
                 )
 
     def speed(self, speed_m_s: float | None) -> float:
-        """Return a wanted speed no greater than the limit; None asks for the limit itself.
+        """Return a speed reduced to the limit; None gives the limit itself.
 
         Raises
         ------
         InvalidInputError
-            The speed is not a number above 0, or slower than the arm can go.
+            The speed is not a number above 0, or below the least speed of the arm.
         """
         if speed_m_s is None:
             return self.max_speed_m_s
@@ -237,12 +237,12 @@ class Limits:
         return min(speed_m_s, self.max_speed_m_s)
 
     def opening(self, target: GripperTarget) -> float:
-        """Return the share of the full opening that a target means: 0 closed … 1 open.
+        """Return a target as a share of the full opening: 0 closed … 1 open.
 
         Raises
         ------
         GripperError
-            No gripper, or a width asked of one that only opens and closes.
+            No gripper, or a width for one that only opens and closes.
         InvalidInputError
             A width outside 0 … `gripper_opening_m`, or another word than open and close.
         """
@@ -262,7 +262,7 @@ class Limits:
 
 
 class RobotState(StrEnum):
-    """What the robot is doing, by its last answer."""
+    """State of the robot, by its last answer."""
 
     DISCONNECTED = "disconnected"
     NOT_HOMED = "not_homed"
@@ -274,16 +274,16 @@ class RobotState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RobotStatus:
-    """What is known of a robot without asking it again.
+    """Status of a robot, known without a query.
 
     Attributes
     ----------
     state : RobotState
-        What it does.
+        Its state.
     homed : bool
-        Its positions mean something.
+        Whether its positions are valid.
     pose : Pose or None
-        The last believed reading.
+        The last valid reading.
     fault : str or None
         The last fault, until homing clears it.
     """
@@ -296,12 +296,12 @@ class RobotStatus:
 
 @dataclass(frozen=True, slots=True)
 class HomingProgress:
-    """How far homing has come.
+    """Progress of homing.
 
     Attributes
     ----------
     elapsed_s, timeout_s : float
-        Time since the command, and the time after which it is given up [s].
+        Time since the command, and time limit [s].
     message : str
         The controller's last line, empty between lines.
     """
@@ -318,13 +318,13 @@ HomingCallback: TypeAlias = Callable[[HomingProgress], None]
 class Robot(Protocol):
     """A robot that moves to commanded poses.
 
-    Every method but `stop`, `status` and `limits` may wait for the controller, and every wait
-    ends: with the answer, or with a `RobotError` within its time-out. Methods may be called from
-    any thread; commands are carried out in the order they come, except `stop`.
+    All methods except `stop`, `status` and `limits` may wait for the controller. Every wait ends
+    with the answer, or with a `RobotError` within its time-out. Methods may be called from any
+    thread; commands are executed in the order of the calls, except `stop`.
     """
 
     def connect(self) -> None:
-        """Open the connection; whatever still moves is stopped."""
+        """Open the connection; stop any motion."""
 
     def close(self) -> None:
         """Stop and close the connection; harmless when closed."""
@@ -340,13 +340,13 @@ class Robot(Protocol):
 
     @property
     def limits(self) -> Limits | None:
-        """What may be asked of it; None means that nothing has been declared yet."""
+        """Limits of commands; None if they have not been declared."""
 
     def home(self, progress: HomingCallback | None = None, *, timeout_s: float = 180.0) -> None:
-        """Let every axis find its home position. The arm moves."""
+        """Home every axis. The arm moves."""
 
     def pose(self) -> Pose:
-        """Read where the gripper is."""
+        """Read the pose of the gripper."""
 
     def move_to(
         self,
@@ -365,7 +365,7 @@ class Robot(Protocol):
         """Open, close, or set the gripper to a width [m]."""
 
     def stop(self) -> None:
-        """Stop all motion at once and void every command that waits. Nothing can delay it."""
+        """Stop all motion at once and void every waiting command. Nothing can delay it."""
 
     def status(self) -> RobotStatus:
-        """Tell what is known, without waiting."""
+        """Return the known status, without waiting."""

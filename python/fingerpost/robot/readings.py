@@ -1,9 +1,9 @@
-"""Believing a position that comes over a line without a checksum.
+"""Validation of positions that are read over a line without a checksum.
 
-One reading alone is never believed: noise can turn a digit into another. A reading that equals
-another one is. A moving arm never repeats itself; there the median of three is taken, coordinate
-by coordinate. It lies between positions the arm has really had even if any one of the three is
-wrong, and three that are further apart than the arm can have gone are refused.
+A single reading is never trusted, because noise can change a digit. Two equal readings are. The
+readings of a moving arm always differ; then the median of three is used, for each coordinate. It
+lies between true positions of the arm even if any one of the three is wrong. Three readings that
+are further apart than the arm can have moved are refused.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Reading: TypeAlias = tuple[float, ...]
 
 
 class ReadingFilter:
-    """Confirms readings with those before them.
+    """Confirms readings by the previous ones.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class ReadingFilter:
     speed : float
         Greatest speed of any of the first three coordinates [unit/s].
     slack : float
-        Way that the arm may go during one reading [unit].
+        Distance that the arm may move during one reading [unit].
     """
 
     def __init__(self, clock: Callable[[], float], speed: float, slack: float) -> None:
@@ -37,7 +37,7 @@ class ReadingFilter:
         self._last: Reading | None = None
 
     def forget(self) -> None:
-        """Confirm nothing with what was read before."""
+        """Discard the previous readings."""
         self._last = None
 
     def read(self, raw: Callable[[], Reading]) -> Reading:
@@ -51,7 +51,7 @@ class ReadingFilter:
         Raises
         ------
         GarbledReplyError
-            Three readings are further apart than the arm can have gone.
+            Three readings are further apart than the arm can have moved.
         """
         start_s = self._clock()
         readings = [raw()]

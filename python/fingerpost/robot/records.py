@@ -1,4 +1,4 @@
-"""The record of every command that a guard passes, refuses or stops, and a log that may fail."""
+"""Records of the commands that a guard passes, refuses or stops, with a log that may fail."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fingerpost.robot.protocol import Pose
 logger = logging.getLogger(__name__)
 
 RECORDS_KEPT = 10_000
-"""Commands that a guard remembers; `on_record` sees all."""
+"""Number of records that a guard keeps; `on_record` receives all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class CommandRecord:
     Attributes
     ----------
     time_s : float
-        When, by the guard's clock [s].
+        Time on the guard's clock [s].
     command : str
         `arm`, `disarm`, `enter`, `visit`, `move`, `gripper`, `hold` or `halt`.
     detail : str
@@ -34,8 +34,7 @@ class CommandRecord:
     fix : Fix or None
         The fix that caused it.
     outcome : str
-        `sent`, or why not. A stop that failed at first has a second record once it has gone
-        through.
+        `sent`, or why not. A stop that failed at first has a second record once it has succeeded.
     """
 
     time_s: float
@@ -59,7 +58,7 @@ RecordCallback: TypeAlias = Callable[[CommandRecord], None]
 
 
 class Records:
-    """The last records, each handed to a callback whose failure is kept until it is asked for.
+    """The last records, each passed to a callback, whose failure is stored until requested.
 
     Parameters
     ----------
@@ -83,7 +82,7 @@ class Records:
         return self._error
 
     def add(self, record: CommandRecord) -> None:
-        """Keep a record and hand it on; never raises, because a stop must not end here."""
+        """Store a record and pass it on; never raises, because that would prevent a stop."""
         self._kept.append(record)
         logger.info("%s", record)
         try:
@@ -94,5 +93,5 @@ class Records:
                 self._error = error
 
     def forget_error(self) -> None:
-        """Keep the failure no longer."""
+        """Clear the stored failure."""
         self._error = None

@@ -1,4 +1,4 @@
-"""The part of space over the plane that the gripper is allowed in."""
+"""Region over the plane in which the gripper may be."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from fingerpost.checks import finite_array, in_range
 from fingerpost.errors import InvalidInputError
 
 FURTHEST = 1e9
-"""A table's coordinates are smaller in any unit; much greater ones overflow in areas."""
+"""Greatest coordinate; a table's are smaller in any unit, and much greater ones overflow in areas.
+"""
 
-# A corner that turns by less than this share of its sides is not a corner but rounding.
+# Least turn at a corner, relative to its sides: below, it is a rounding error.
 FLAT_SHARE = 1e-9
 
 
@@ -21,14 +22,14 @@ FLAT_SHARE = 1e-9
 class SafeRegion:
     """A convex polygon of the plane, and a range of heights above it.
 
-    It is convex, and so is its image under a homography that has it in front; so a straight way
-    between two of its points never leaves it.
+    It is convex, and so is its image under a homography with W > 0; a straight path between two of
+    its points therefore never leaves it.
 
     Parameters
     ----------
     corners : (N, 2)
-        Corners in plane coordinates, N ≥ 3, in order, either way round; convex; none further than
-        `FURTHEST`.
+        Corners in plane coordinates, N ≥ 3, in order, clockwise or anticlockwise; convex; none
+        beyond `FURTHEST`.
     lowest_m, highest_m : float
         Heights above the plane [m]; the lower first.
 
@@ -73,14 +74,14 @@ class SafeRegion:
         above_m : float
             Height above the plane [m].
         within, within_m : float
-            How far outside still counts, beside [plane units] and above or below [m].
+            Tolerance outside the region, in the plane [plane units] and in height [m].
         """
         point = finite_array(point, "point", (2,))
         inside = bool((self._distances(point) >= -within).all())
         return inside and self.lowest_m - within_m <= above_m <= self.highest_m + within_m
 
     def clamp(self, point: ArrayLike, above_m: float) -> tuple[NDArray[np.float64], float]:
-        """Return the nearest permitted point (2,) and height [m]; unchanged when inside."""
+        """Return the nearest permitted point (2,) and height [m]; unchanged if inside."""
         point = finite_array(point, "point", (2,))
         above_m = min(max(in_range(above_m, "above_m", -np.inf), self.lowest_m), self.highest_m)
         if (self._distances(point) >= 0).all():
@@ -98,12 +99,12 @@ class SafeRegion:
         distance : float
             Width of the rim [plane units], ≥ 0.
         height_m : float
-            Kept off the lowest and the highest height [m], ≥ 0.
+            Distance from the lowest and the highest height [m], ≥ 0.
 
         Raises
         ------
         InvalidInputError
-            Nothing, or not even the same corners, would be left.
+            The result would be empty or have fewer corners.
         """
         distance = in_range(distance, "distance", 0.0)
         height_m = in_range(height_m, "height_m", 0.0)
@@ -139,7 +140,7 @@ class SafeRegion:
 
 
 def _counter_clockwise(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the corners of a convex polygon counter-clockwise, or complain."""
+    """Return the corners of a convex polygon anticlockwise; refuse any other polygon."""
     sides = np.roll(corners, -1, axis=0) - corners
     lengths = np.linalg.norm(sides, axis=1)
     following = np.roll(sides, -1, axis=0)
@@ -152,6 +153,6 @@ def _counter_clockwise(corners: NDArray[np.float64]) -> NDArray[np.float64]:
             "same way, and none may lie on a straight side"
         )
     angles = np.arctan2(turns, (sides * following).sum(axis=1))
-    if abs(angles.sum()) > 3 * np.pi:  # once around is 2π; a star turns the same way all along
+    if abs(angles.sum()) > 3 * np.pi:  # 2π for a convex polygon; a star turns by more
         raise InvalidInputError(f"corners {corners.tolist()} go round more than once")
     return corners if way_round > 0 else corners[::-1]

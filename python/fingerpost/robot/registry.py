@@ -1,7 +1,7 @@
-"""Robots by name: those of this package, and whatever else is installed.
+"""Robots by name: those of this package, and installed plug-ins.
 
-A package adds a robot by an entry point of the group `fingerpost.robots`, whose name is the
-robot's and whose object is a `RobotFactory`:
+A package adds a robot by an entry point of the group `fingerpost.robots` with the robot's name and
+a `RobotFactory`:
 
     [project.entry-points."fingerpost.robots"]
     myarm = "mypackage.robot:open_arm"
@@ -31,8 +31,8 @@ from fingerpost.robot.xarm import Xarm, XarmOptions
 ENTRY_POINT_GROUP = "fingerpost.robots"
 
 RobotFactory: TypeAlias = Callable[[str, Mapping[str, object]], Robot]
-"""Makes a robot, not yet connected, from its address and its options by name. Options that come
-from a URL are text, or a list of texts where there was a comma."""
+"""Makes a robot, not yet connected, from its address and its options by name. Options from a URL
+are text, or a list of texts if separated by commas."""
 
 _Options = TypeVar("_Options", bound=msgspec.Struct)
 
@@ -46,20 +46,19 @@ def open_robot(target: str, **options: object) -> Robot:
         `name://address?option=value&…`, or a name alone. A serial arm's address is a device
         (`acl:///dev/ttyUSB0`, `acl://COM3`) or, after a plus, a serial server
         (`acl+socket://host:4001`, `acl+rfc2217://host:2217`); others have a host (`ur://10.0.0.5`)
-        or none (`sim://`). Numbers in a row are separated by commas.
+        or none (`sim://`). Several numbers are separated by commas.
     **options
-        Options by name; `address` goes with a name alone. They win over those of the URL.
+        Options by name, including `address` if `target` is only a name. They override the URL.
 
     Returns
     -------
     Robot
-        Not yet connected.
+        The robot, not yet connected.
 
     Raises
     ------
     InvalidInputError
-        No such robot, no such option, a value that the option does not take, or a plug-in that
-        fails; the message names it.
+        An unknown robot or option, an invalid value, or a failing plug-in; the message names it.
     MissingExtraError
         The robot needs a library that is not installed.
 
@@ -85,7 +84,7 @@ def robot_names() -> list[str]:
 
 
 def read_options(kind: type[_Options], options: Mapping[str, object], robot: str) -> _Options:
-    """Read options given by name, text or not, into a driver's own struct.
+    """Convert options given by name, as text or values, to a driver's own struct.
 
     Parameters
     ----------
@@ -99,7 +98,7 @@ def read_options(kind: type[_Options], options: Mapping[str, object], robot: str
     Raises
     ------
     InvalidInputError
-        An option is not known, or its value is not what it takes; the message says which.
+        An unknown option or an invalid value; the message names it.
     """
     try:
         return msgspec.convert(dict(options), type=kind, strict=False)
@@ -109,7 +108,7 @@ def read_options(kind: type[_Options], options: Mapping[str, object], robot: str
 
 
 def _split(target: str) -> tuple[str, str, dict[str, object]]:
-    """Take a URL apart into name, address and options."""
+    """Split a URL into name, address and options."""
     scheme, is_url, rest = target.partition("://")
     if not is_url:
         return target, "", {}
@@ -147,7 +146,7 @@ def _factory(name: str, target: str) -> RobotFactory:
 
 
 def _loaded(point: EntryPoint) -> RobotFactory:
-    """Import a plug-in; whatever it fails with, now or when it makes a robot, is one line."""
+    """Import a plug-in; its errors, now or when it makes a robot, become one line."""
     try:
         factory: RobotFactory = point.load()
     except (Exception, SystemExit) as error:
@@ -251,4 +250,4 @@ _DOBOT = (
     "dexarm:///dev/ttyACM0, another arm on a Marlin board marlin:///dev/ttyACM0"
 )
 OTHERS = {"dobot": _DOBOT, "magician": _DOBOT}
-"""What is said of names that look right and are not; a plug-in can take them."""
+"""Messages for names that are probably mistaken; a plug-in can use them."""

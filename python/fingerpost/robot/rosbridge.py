@@ -1,12 +1,12 @@
-"""Arms of ROS 1 and 2 through a rosbridge server: MoveIt Servo, Franka, an arm of the lab.
+"""Arms with ROS 1 or 2 through a rosbridge server: MoveIt Servo, Franka, research arms.
 
-Poses are streamed (`fingerpost.robot.streaming`) as `geometry_msgs/PoseStamped` to one topic, and
-where the arm is comes from another, in one frame. What starts and stops the arm, and its gripper,
-are services of type `std_srvs/Trigger`. A stop publishes the last measured pose as the target and
-calls the stop service, in this order and without waiting for either.
+Poses are streamed (`fingerpost.robot.streaming`) as `geometry_msgs/PoseStamped` to one topic; the
+arm's pose is received from another, in the same frame. The arm is started and stopped, and the
+gripper moved, by services of type `std_srvs/Trigger`. A stop publishes the last measured pose as
+the target and calls the stop service, in this order and without waiting for either.
 
 The tool's z axis is its approach direction, as in ROS-Industrial and on a Franka. Headers are sent
-without a stamp: the bridge fills in its own time, so no clocks are compared.
+without a stamp: the bridge adds its own time, so no clocks are compared.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ from fingerpost.robot.rosbridge_link import Message, RosbridgeLink
 from fingerpost.robot.streaming import StreamedArm
 
 DEFAULT_PORT = 9090
-"""Where rosbridge_server listens by default."""
+"""Default port of rosbridge_server."""
 
 POSE_TYPE = "geometry_msgs/PoseStamped"
 
 FIRST_POSE_S = 3.0
-"""An arm whose nodes run has said where it is within this [s]."""
+"""Time limit for the first pose of an arm [s]."""
 
 LEVER_M = 0.2
-"""The tool turns no faster than the gripper would go on such a lever [m]: about its length."""
+"""Lever that converts the tool's rate of rotation to a speed [m]: about its length."""
 
 
 class _Axes(msgspec.Struct):
@@ -80,20 +80,20 @@ class _PoseStamped(msgspec.Struct):
 
 
 class RosbridgeOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How to use an arm of ROS.
+    """Options of a ROS arm.
 
     Attributes
     ----------
     frame : str
         The frame of all poses, the arm's base.
     target_topic, pose_topic : str
-        Where targets are published, and where the arm says where it is.
+        Topics on which targets are published, and poses of the arm received.
     stop_service : str
-        Stops the arm at once; empty if there is none.
+        Service that stops the arm at once; empty if there is none.
     start_service : str
-        Makes it ready, when it is homed and after a stop; empty if it always is.
+        Service that makes it ready, at homing and after a stop; empty if not needed.
     open_service, close_service : str
-        Of the gripper; empty if there is none.
+        Services of the gripper; empty if there is none.
     reach_m : float
         Its reach [m].
     lower_z_m : float
@@ -101,15 +101,15 @@ class RosbridgeOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown
     max_speed_m_s, acceleration_m_s2 : float
         Greatest speed, and acceleration of moves.
     near_m : float
-        The arm has arrived this near its goal [m].
+        Distance from its goal at which the arm has arrived [m].
     rate_hz : float
-        Targets are sent so often [Hz].
+        Rate of targets [Hz].
     max_age_s : float
-        A pose older than this says nothing [s].
+        Greatest age of a valid pose [s].
     service_s : float
         Longest time to a service's answer [s].
     poll_s, stall_s : float
-        How the end of a move is seen [s], as in `ArrivalRule`.
+        Parameters of the end of a move [s], as in `ArrivalRule`.
     """
 
     frame: str = "base_link"
@@ -132,20 +132,20 @@ class RosbridgeOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown
 
 
 class RosbridgeArm(StreamedArm):
-    """An arm of ROS.
+    """An arm with ROS.
 
     Parameters
     ----------
     host : str
-        Where the rosbridge server is.
+        Host of the rosbridge server.
     port : int
         Its port.
     options : RosbridgeOptions
-        How to use it.
+        Options of the arm.
     limits : Limits, optional
-        What it may be asked for; by default a half ball of `reach_m`.
+        Limits of commands; by default a half ball of `reach_m`.
     clock, sleep : callable
-        Monotonic time [s], and a wait of so many seconds of it.
+        Monotonic time [s], and a wait for a time on that clock [s].
 
     Raises
     ------
@@ -192,9 +192,9 @@ class RosbridgeArm(StreamedArm):
             sleep=sleep,
         )
         self._link = RosbridgeLink(host, port, self._take_pose, self._take_trouble)
-        self._reading: tuple[float, Message] | None = None  # when the newest pose came, and it
+        self._reading: tuple[float, Message] | None = None  # newest pose: arrival time, message
         self._trouble: RobotError | None = None
-        self._stop_call = ("", 0.0)  # its number, and when it went out
+        self._stop_call = ("", 0.0)  # its number, and the time of sending
         self._needs_start = True
 
     def _open(self) -> None:
@@ -240,7 +240,7 @@ class RosbridgeArm(StreamedArm):
         return self._newest_place()
 
     def _newest_place(self) -> Vector:
-        """Return the newest pose that came, if it can be believed."""
+        """Return the newest pose received, if it is valid."""
         topic = self._options.pose_topic
         came_s, message = self._reading or (-math.inf, {})
         if self._clock() - came_s > self._options.max_age_s:
@@ -270,7 +270,7 @@ class RosbridgeArm(StreamedArm):
         return Pose(x, y, z, pitch_rad=pitch, roll_rad=roll, yaw_rad=yaw)
 
     def _path(self, start: Vector, pose: Pose, speed_m_s: float) -> Path:
-        del speed_m_s  # its length is no matter of speed
+        del speed_m_s  # the length does not depend on the speed
         first = rotation_matrix(start[3:])
         angles = pose.angles()
         last = first if angles is None else tool_rotation(*angles)
@@ -309,13 +309,13 @@ class RosbridgeArm(StreamedArm):
             self._stop_call = link.call(options.stop_service, urgent=True), self._clock()
 
     def _raise_trouble(self) -> None:
-        """Raise what the link's thread has met, once."""
+        """Raise the error of the link's thread, once."""
         error, self._trouble = self._trouble, None
         if error is not None:
             raise error
 
     def _see_to_stop(self) -> None:
-        """Raise if the last stop was answered with anything but success, or not at all."""
+        """Raise if the last stop was not answered with success."""
         number, sent_s = self._stop_call
         if not number:
             return
@@ -339,7 +339,7 @@ class RosbridgeArm(StreamedArm):
             raise GripperError(str(error)) from error
 
     def _call(self, service: str, turn: Turn) -> None:
-        """Call a service and wait until it has done it."""
+        """Call a service and wait for its completion."""
         numbers: list[str] = []
         self._issue(lambda: numbers.append(self._link.call(service)), turn)
         end_s = self._clock() + self._options.service_s
@@ -354,7 +354,7 @@ class RosbridgeArm(StreamedArm):
         if not done:
             raise CommandRefusedError(f"{service}: {said or 'refused without a reason'}")
 
-    # What the link's thread calls.
+    # Called by the link's thread.
 
     def _take_pose(self, topic: str, message: Message) -> None:
         if topic == self._options.pose_topic:

@@ -1,11 +1,11 @@
 """Topics and services of ROS through a rosbridge server: JSON texts on a WebSocket.
 
-The protocol is rosbridge's version 2.0, which ROS 1 and 2 share: `advertise`, `publish`,
-`subscribe` and `call_service` go out; `publish`, `service_response` and `status` come back. The
-WebSocket is that of `websockets` without its own threads and locks (its `ClientProtocol`), so that
-an urgent message waits a moment for another thread's and no longer. `roslibpy` would bring Twisted,
-whose reactor belongs to the whole process: it cannot be started again once it was stopped, and
-every message waits for its turn in it.
+The protocol is rosbridge's version 2.0, common to ROS 1 and 2: `advertise`, `publish`, `subscribe`
+and `call_service` are sent; `publish`, `service_response` and `status` are received. The WebSocket
+is that of `websockets` without its own threads and locks (its `ClientProtocol`), so that an urgent
+message waits only a moment for another thread's. `roslibpy` would require Twisted, whose reactor is
+global to the process: it cannot be restarted after a stop, and every message waits for its turn in
+it.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from fingerpost.installation import require
 from fingerpost.robot.errors import ConnectionLostError, RobotError, RobotTimeoutError
 
 OPEN_S = 5.0
-"""A server has answered within this [s]."""
+"""Time limit for the answer of a server [s]."""
 
 WRITE_TIMEOUT_S = 0.25
-"""A message that the connection does not take within this is stuck [s]."""
+"""Time limit to write a message [s]."""
 
 URGENT_PATIENCE_S = 0.002
-"""How long an urgent message lets another thread finish its own [s]."""
+"""Time that an urgent message leaves another thread to finish its own [s]."""
 
 READ_BYTES = 1 << 16
-"""What is read at a time; a pose has 300 bytes or so."""
+"""Number of bytes read at a time; a pose has about 300."""
 
 Message: TypeAlias = dict[str, Any]
-"""A message of ROS as JSON has it."""
+"""A message of ROS as JSON values."""
 
 
 class _Incoming(msgspec.Struct):
-    """What a server sends, whichever operation it is."""
+    """Any operation sent by a server."""
 
     op: str
     topic: str = ""
@@ -57,11 +57,12 @@ class RosbridgeLink:
     Parameters
     ----------
     host, port
-        Where it is.
+        Its address.
     on_message : callable
-        Called from a thread of the link's own with the topic and message of every `publish`.
+        Called from the link's own thread with the topic and message of every `publish`.
     on_trouble : callable
-        Called from there with what the server says of an error, and with the end of the connection.
+        Called from that thread with the server's error messages, and with the end of the
+        connection.
 
     Raises
     ------
@@ -82,7 +83,7 @@ class RosbridgeLink:
         self._uri = require("websockets.uri", "ros")
         self._on_message = on_message
         self._on_trouble = on_trouble
-        self._lock = threading.Lock()  # held while a message goes out
+        self._lock = threading.Lock()  # held while a message is sent
         self._protocol: Any = None
         self._socket: socket.socket | None = None
         self._why_closed = "not connected"
@@ -95,9 +96,9 @@ class RosbridgeLink:
         Raises
         ------
         ConnectionLostError
-            Nobody listens there, or no WebSocket.
+            There is no server, or not a WebSocket.
         RobotTimeoutError
-            Whoever listens does not answer.
+            The server does not answer.
         """
         self.close()
         try:
@@ -129,7 +130,7 @@ class RosbridgeLink:
         self._close("not connected")
 
     def _close(self, why: str) -> None:
-        # The reason comes first: other threads report it as soon as there is no socket.
+        # Set the reason first: other threads report it as soon as there is no socket.
         self._why_closed = why
         line, self._socket = self._socket, None
         self._responses = {}
@@ -147,16 +148,16 @@ class RosbridgeLink:
         Raises
         ------
         ConnectionLostError
-            The connection is closed or gone, or takes no bytes.
+            The connection is closed or lost, or does not accept the bytes.
         """
         with self._lock:
             self._send(operation)
 
     def send_now(self, **operation: object) -> None:
-        """Send an operation, waiting no longer than a moment for another thread's.
+        """Send an operation, waiting only a moment for another thread's.
 
-        It may come from a signal's handler, which may have interrupted a message between any two
-        steps: those are whole before and after each of them.
+        It may be called from a signal handler that has interrupted a message between any two steps:
+        the state is consistent before and after each of them.
 
         Raises
         ------
@@ -171,7 +172,7 @@ class RosbridgeLink:
                 self._lock.release()
 
     def call(self, service: str, *, urgent: bool = False) -> str:
-        """Call a service that takes nothing; return the number by which its answer is known.
+        """Call a service without arguments; return the number that identifies its answer.
 
         Raises
         ------
@@ -184,7 +185,7 @@ class RosbridgeLink:
         return number
 
     def outcome(self, number: str) -> tuple[bool, str] | None:
-        """Return whether a service did it and what it said; None while there is no answer."""
+        """Return a service's success and message; None while there is no answer."""
         response = self._responses.pop(number, None)
         if response is None:
             return None
@@ -214,7 +215,7 @@ class RosbridgeLink:
                 line.sendall(data)
 
     def _listen(self, line: socket.socket) -> None:
-        """Read until the connection ends, and say so unless we have closed it."""
+        """Read until the connection ends, and report that unless it was closed here."""
         protocol, why = self._protocol, "the server has closed it"
         try:
             while data := line.recv(READ_BYTES):

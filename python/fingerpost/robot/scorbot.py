@@ -1,13 +1,13 @@
-"""The paper's robot: a Scorbot ER-7 on its Controller-A, through ACL on a serial line.
+"""The paper's robot: a Scorbot ER-7 with its Controller-A, through ACL on a serial line.
 
-A goal is a named position: `DEFP` makes the name, `HERE` records something under it (coordinates
-can be changed only in a recorded position), `SETPVC` changes X, Y, Z and then P and R, which
-setting the others alters, and `LISTPV` reads it back before anything moves. `MOVEL` queues a
-straight move and returns at once, so arrival is seen by reading `LISTPV POSITION` until the arm
-stands where it was sent. The line has no checksum: a reading counts only when another agrees.
+A goal is a named position: `DEFP` defines the name, `HERE` records a position under it (coordinates
+can only be changed in a recorded position), `SETPVC` changes X, Y, Z and then P and R, which change
+with the others, and `LISTPV` reads it back before any motion. `MOVEL` queues a straight move and
+returns at once, so arrival is detected by reading `LISTPV POSITION` until the arm stands at its
+goal. The line has no checksum: a reading is valid only if another agrees.
 
 Units of the controller: 0.1 mm, 0.1°, percent of full speed. The gripper's opening is not
-measured: opening and closing simply take their time.
+measured: opening and closing take a fixed time.
 """
 
 from __future__ import annotations
@@ -55,16 +55,17 @@ UNIT_DEG = 0.1
 """The controller's unit of angle [°]."""
 
 STORED_TOLERANCE = 1
-"""Rounding that a stored position may show, in the controller's units."""
+"""Rounding error of a stored position, in the controller's units."""
 
 TRAVEL_SLACK = 20
-"""Added to what a moving arm can go between two readings: 2 mm for their own time, in its units."""
+"""Added to the distance that an arm can move between two readings: 2 mm for their duration, in the
+controller's units."""
 
 POSITION_NAMES = 64
-"""Names FP00 … FP63 are used in turn."""
+"""Number of names, FP00 … FP63, that are used in turn."""
 
 CONNECT_TIMEOUT_S = 10.0
-"""A controller that is on answers within this [s]."""
+"""Time limit for the first answer of a controller [s]."""
 
 _HOMING_ENDS = re.compile(
     r"HOMING COMPLETE[^\r\n]*[\r\n]|\*\*\*\s*HOME FAILURE[^\r\n]*[\r\n]", re.IGNORECASE
@@ -81,8 +82,8 @@ SCORBOT_ER7_LIMITS = Limits(
     gripper=GripperKind.WIDTH,
     gripper_opening_m=0.07,
 )
-"""Round figures for an arm of this size, at a third of its speed. Z = 0 is the floor its base
-stands on; declare your own table's height before the arm goes near it."""
+"""Round figures for an arm of this size, at a third of its speed. Z = 0 is the surface on which its
+base stands; declare the height of your own table before the arm moves near it."""
 
 
 SCORBOT_ER7_SHAPE = ArmShape(
@@ -95,7 +96,7 @@ SCORBOT_ER7_SHAPE = ArmShape(
 
 
 class ScorbotOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How to talk to a Scorbot.
+    """Options of a Scorbot.
 
     Attributes
     ----------
@@ -106,19 +107,19 @@ class ScorbotOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_f
     reply_s, quiet_s, resync_s : float
         Time-outs of the conversation [s], as in `AclTiming`.
     poll_s, stall_s : float
-        How the end of a move is seen [s], as in `ArrivalRule`.
+        Parameters of the end of a move [s], as in `ArrivalRule`.
     lower_m, upper_m : tuple of 3 floats, or None
-        Box of permitted positions [m]; the arm's own by default. Set z to keep off your table.
+        Box of permitted positions [m]; the arm's own by default. Set z to stay above your table.
     max_speed_m_s : float or None
-        Greatest speed that may be asked for [m/s]; `SCORBOT_ER7_LIMITS`'s by default.
+        Greatest permitted speed [m/s]; `SCORBOT_ER7_LIMITS`'s by default.
     full_speed_m_s : float
         The gripper's speed at `SPEED 100` [m/s]; measure your arm's.
     gripper_s : float
         Time the gripper takes [s].
     retries : int
-        How often a command that can be repeated without harm is repeated after noise.
+        Number of repetitions of a command after noise, if it can be repeated without harm.
     tagged : bool
-        Number the commands by the case of their letters, as in `Conversation`.
+        Whether to number commands by the case of their letters, as in `Conversation`.
     """
 
     baud: Annotated[int, msgspec.Meta(gt=0, le=10_000_000)] = 9600
@@ -138,20 +139,20 @@ class ScorbotOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class Scorbot(Arm):
-    """A Scorbot through ACL.
+    """A Scorbot controlled by ACL.
 
     Parameters
     ----------
     url : str
         Serial device, `socket://host:port` or `rfc2217://host:port`.
     options : ScorbotOptions
-        How to talk to it.
+        Its options.
     limits : Limits, optional
-        What it may be asked for; by default `SCORBOT_ER7_LIMITS` with the box of the options.
+        Limits of commands; by default `SCORBOT_ER7_LIMITS` with the box of the options.
     tap : callable, optional
-        Sees every transfer, `tap("out" or "in", data)`.
+        Called with every transfer, `tap("out" or "in", data)`.
     clock, sleep : callable
-        Monotonic time [s], and a wait of so many seconds of it.
+        Monotonic time [s], and a wait for a time on that clock [s].
 
     Examples
     --------
@@ -211,8 +212,8 @@ class Scorbot(Arm):
         return self._line.advice
 
     def _home(self, turn: Turn, report: Callable[[str], None]) -> None:
-        """HOME answers `WAIT!! HOMING...`, and up to three minutes later how it went."""
-        self._percent = None  # HOME aborts programs; what it leaves of the speed is not known
+        """HOME answers `WAIT!! HOMING...`, and up to three minutes later with the outcome."""
+        self._percent = None  # HOME aborts programs; the speed after it is unknown
         self._readings.forget()
         ending = self._talk.await_text(
             "HOME", _HOMING_ENDS, lambda: self._check(turn), self._issuing(turn), report
@@ -240,10 +241,10 @@ class Scorbot(Arm):
         self._ask_motion(command, turn)
         self._pause(self._options.gripper_s, turn)
 
-    # One step of a move each.
+    # Steps of a move.
 
     def _coordinates(self, pose: Pose, turn: Turn) -> tuple[int, ...]:
-        """Return a pose in the controller's units; angles left None are those of the arm now."""
+        """Return a pose in the controller's units; angles that are None are those of the arm."""
         pitch, roll = pose.pitch_rad, pose.roll_rad
         if pitch is None or roll is None:
             now = self._read_pose(turn)
@@ -254,10 +255,10 @@ class Scorbot(Arm):
         return (*lengths, *angles)
 
     def _record(self, turn: Turn) -> str:
-        """Return the name of a recorded position that no queued move still uses.
+        """Return the name of a recorded position that no queued move uses.
 
-        Whether the controller looks a position up when a move is queued or when it starts is not
-        documented, so a name is not used again while moves are queued.
+        It is not documented whether the controller reads a position when a move is queued or when
+        it starts, so a name is not reused while moves are queued.
         """
         self._queued = 0 if self._goal is None else self._queued + 1
         if self._queued >= POSITION_NAMES:
@@ -274,7 +275,7 @@ class Scorbot(Arm):
         return name
 
     def _set_position(self, name: str, goal: tuple[int, ...], turn: Turn) -> None:
-        """Set all five coordinates, P and R last, and see that they are what they should be."""
+        """Set all five coordinates, P and R last, and verify them."""
         for _ in range(1 + self._options.retries):
             for axis, value in zip(AXES, goal, strict=True):
                 self._ask(f"SETPVC {name} {axis} {value}", turn)
@@ -284,7 +285,7 @@ class Scorbot(Arm):
         raise GarbledReplyError(f"{name} should be {goal}, but the controller lists {stored}")
 
     def _set_speed(self, speed_m_s: float, turn: Turn) -> None:
-        """Set the speed, rounded down, unless it is set already."""
+        """Set the speed, rounded down, unless it is already set."""
         percent = min(100, int(100 * speed_m_s / self._options.full_speed_m_s + 1e-9))
         if percent != self._percent:
             self._percent = None
@@ -297,7 +298,7 @@ class Scorbot(Arm):
     def _ask(
         self, command: str, turn: Turn, *, reads: Callable[[str], object] = lambda _: None
     ) -> str:
-        """Ask, and ask again after noise or silence; only for what may be repeated."""
+        """Send a command, repeatedly after noise or silence; only for repeatable commands."""
         for attempt in itertools.count():
             self._talk.synchronise(lambda: self._check(turn))
             try:
@@ -314,7 +315,7 @@ class Scorbot(Arm):
         raise AssertionError  # count() has no end
 
     def _ask_motion(self, command: str, turn: Turn) -> None:
-        """Send what moves the arm: once, and never past a stop."""
+        """Send a command that moves the arm: once, and never past a stop."""
         self._talk.synchronise(lambda: self._check(turn))
         self._talk.ask(command, lambda: self._check(turn), self._issuing(turn))
 
@@ -332,7 +333,7 @@ def _limits(options: ScorbotOptions) -> Limits:
 
 
 def _no_slower(limits: Limits, options: ScorbotOptions) -> Limits:
-    """Return limits whose least speed is that of `SPEED 1`, or their own if that is greater."""
+    """Return limits with the speed of `SPEED 1` as least speed, unless theirs is greater."""
     least_m_s = max(limits.min_speed_m_s, options.full_speed_m_s / 100)
     return replace(limits, min_speed_m_s=least_m_s)
 

@@ -1,10 +1,10 @@
 """One serial line by URL: a device, `socket://host:port` or `rfc2217://host:port`.
 
-A device belongs to one program while it is open; see `fingerpost.robot.port_lock`.
+A device is used by one program at a time; see `fingerpost.robot.port_lock`.
 
-Commands and the stop share the line but not its queues: `send_now` throws away what the operating
-system still holds back and lifts a software hold (XOFF) first, so that a stop never stands behind
-a command, and it waits only a moment for a write that another thread has begun.
+Commands and the stop share the line but not its queues: `send_now` first discards unsent output of
+the operating system and releases a software hold (XOFF), so that a stop never waits behind a
+command; it waits only a moment for a write that another thread has begun.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from fingerpost.robot.port_lock import (
 logger = logging.getLogger(__name__)
 
 Tap: TypeAlias = Callable[[str, bytes], None]
-"""Sees every transfer: `tap("out" or "in", data)`."""
+"""Called with every transfer: `tap("out" or "in", data)`."""
 
 WRITE_TIMEOUT_S = 0.25
-"""A command of some 30 bytes that the line does not take within this is stuck [s]."""
+"""Time limit to write a command of some 30 bytes [s]."""
 
 URGENT_PATIENCE_S = 0.002
-"""How long `send_now` lets another thread finish its write [s]."""
+"""Time that `send_now` leaves another thread to finish its write [s]."""
 
 
 SERVERS = ("socket", "rfc2217")
@@ -55,14 +55,15 @@ LAST_PORT = 65535
 """Greatest number of a TCP port."""
 
 XON, XOFF = 0x11, 0x13
-"""Bytes by which one end of a line holds the other back (DC1 and DC3 of ASCII)."""
+"""Bytes of software flow control (DC1 and DC3 of ASCII)."""
 
 RECEIVE_WAIT_S = 0.02
-"""Longest wait of one `receive`; fixed, as changing it would talk to an RFC 2217 server [s]."""
+"""Longest wait of one `receive` [s]; fixed, because a change requires a message to an RFC 2217
+server."""
 
 
 def _port_errors() -> tuple[type[Exception], ...]:
-    """Return what pyserial lets through when a port vanishes or another thread closes it."""
+    """Return pyserial's exceptions when a port vanishes or another thread closes it."""
     errors: tuple[type[Exception], ...] = (OSError, TypeError, AttributeError, ValueError)
     with suppress(ImportError):  # not on Windows
         import termios
@@ -75,10 +76,10 @@ PORT_ERRORS = _port_errors()
 
 
 def _write_to_device(descriptor: int, data: bytes) -> None:
-    """Write without ever spinning: while a device is held back, pyserial's own write does.
+    """Write without busy waiting, unlike pyserial's own write while the device is blocked.
 
-    A thread that spins keeps the interpreter to itself for some 5 ms at a time, and a stop in
-    another thread from getting through.
+    A thread in a busy wait holds the interpreter lock for some 5 ms at a time, which would delay a
+    stop in another thread.
     """
     end_s = time.monotonic() + WRITE_TIMEOUT_S
     while data:
@@ -91,7 +92,7 @@ def _write_to_device(descriptor: int, data: bytes) -> None:
 
 
 def _on_descriptor(port: Any) -> bool:
-    """Whether a port is a device of POSIX, with a descriptor of its own."""
+    """Whether a port is a POSIX device with a file descriptor."""
     return os.name == "posix" and isinstance(port, serial.Serial)
 
 
@@ -104,20 +105,20 @@ class Flow(StrEnum):
 
 
 def check_address(address: str, robot: str = "") -> None:
-    """See that an address can be one; nothing is opened.
+    """Check the syntax of an address; nothing is opened.
 
     Parameters
     ----------
     address : str
         Device, or URL of a serial server.
     robot : str
-        The name of the robot in whose URL it stands, for the message.
+        Name of the robot in whose URL it is, for the message.
 
     Raises
     ------
     InvalidInputError
-        It is empty, or a URL without host or port, or of another kind; the message names the URL,
-        what is wrong with it, and a right one.
+        Empty, a URL without host or port, or one of another kind; the message names the URL, what
+        is wrong with it, and a valid one.
     """
     kind, is_url, server = address.partition("://")
     plus, scheme = (f"{robot}+", f"{robot}://") if robot else ("", "")
@@ -137,7 +138,7 @@ def check_address(address: str, robot: str = "") -> None:
 
 
 def _server_problem(kind: str, server: str) -> str:
-    """Say what is wrong with the URL of a serial server; nothing if it can be one."""
+    """Return what is wrong with the URL of a serial server; empty if nothing is."""
     if kind in LOCAL:
         return ""
     if kind not in SERVERS:
@@ -163,20 +164,20 @@ class SerialLine:
     ----------
     url : str
         Device (`/dev/ttyUSB0`, `COM3`), `socket://host:port`, `rfc2217://host:port` or another
-        URL of pyserial's.
+        URL of pyserial.
     baud : int
         Bits per second; 8 data bits, no parity, 1 stop bit.
     flow : Flow
         Flow control.
     tap : callable, optional
-        Sees every transfer, for logs and tests.
+        Called with every transfer, for logs and tests.
     is_text : bool
-        What comes is text, in which XON and XOFF are no characters.
+        Whether the input is text, which does not contain XON and XOFF.
 
     Raises
     ------
     InvalidInputError
-        The address is empty, or a URL that cannot be one; see `check_address`.
+        An invalid address; see `check_address`.
     """
 
     def __init__(
@@ -201,7 +202,7 @@ class SerialLine:
 
     @property
     def advice(self) -> str:
-        """What is probably set wrong on this line, for an error that may be due to it, or nothing.
+        """Probable wrong setting of this line, for an error that may be due to it; may be empty.
 
         Bytes of XON/XOFF on a line without this flow control mean that the other end uses it.
         """
@@ -263,38 +264,38 @@ class SerialLine:
         Raises
         ------
         ConnectionLostError
-            The line is closed or its cable is out.
+            The line is closed or disconnected.
         RobotTimeoutError
-            The line takes no bytes.
+            The line does not accept the bytes.
         """
         with self._write_lock:
             self._purgeable = True
             self._write(data)
 
     def send_now(self, data: bytes, *, purge: bool = True) -> None:
-        """Send ahead of everything that waits.
+        """Send ahead of all waiting output.
 
         Parameters
         ----------
         data : bytes
-            What to send.
+            The bytes to send.
         purge : bool
-            Throw away what the operating system has not sent yet, unless that is urgent too.
+            Whether to discard unsent output of the operating system, unless that is urgent too.
             Only for a controller that understands `data` after any part of a command.
 
         Raises
         ------
         ConnectionLostError
-            The line is closed or its cable is out.
+            The line is closed or disconnected.
         RobotTimeoutError
-            The line takes no bytes.
+            The line does not accept the bytes.
         """
         held = self._write_lock.acquire(timeout=URGENT_PATIENCE_S)
         try:
             if purge and self._purgeable and isinstance(self._port, serial.Serial):
                 with self._translated():
                     self._port.reset_output_buffer()
-            self._purgeable = False  # from here on only an urgent message is in there
+            self._purgeable = False  # from now on it only contains an urgent message
             self.release()
             self._write(data)
         finally:
@@ -302,26 +303,26 @@ class SerialLine:
                 self._write_lock.release()
 
     def release(self) -> None:
-        """Let output flow again if an XOFF has stopped it, real or noise.
+        """Resume output if an XOFF, real or noise, has stopped it.
 
         Raises
         ------
         ConnectionLostError
-            The line is closed or its cable is out.
+            The line is closed or disconnected.
         """
         if self._flow is Flow.XON_XOFF and isinstance(self._port, serial.Serial):
             with self._translated():
-                # Linux lets go of an XOFF that came only by one of its own: off, then on.
+                # Linux releases a received XOFF only after its own flow control is set off and on.
                 self._port.set_output_flow_control(False)
                 self._port.set_output_flow_control(True)
 
     def receive(self) -> bytes:
-        """Return what has come, waiting up to `RECEIVE_WAIT_S` for the first byte.
+        """Return received bytes, waiting up to `RECEIVE_WAIT_S` for the first one.
 
         Raises
         ------
         ConnectionLostError
-            The line is closed or its cable is out.
+            The line is closed or disconnected.
         """
         with self._translated():
             data: bytes = self._port.read(1)
@@ -331,12 +332,12 @@ class SerialLine:
         return data
 
     def drain(self) -> bytes:
-        """Return what has come already, without waiting.
+        """Return bytes that have already been received, without waiting.
 
         Raises
         ------
         ConnectionLostError
-            The line is closed or its cable is out.
+            The line is closed or disconnected.
         """
         data = b""
         with self._translated():

@@ -1,10 +1,9 @@
-"""What room an arm takes up: capsules along its links, from the pose of its gripper.
+"""Volume of an arm: capsules along its links, from the pose of its gripper.
 
-An arm whose gripper stands at a pose has its wrist a tool's length behind the working point, its
-shoulder above the base, and between the two an elbow that is up: two links in the vertical plane
-through base axis and wrist. That is exact for arms of the Scorbot's build and close for most
-others; the radii allow for what is not. What a view shows where the arm may be is not taken for a
-hand.
+The wrist is a tool's length behind the working point, the shoulder is above the base, and the elbow
+between them is up: two links in the vertical plane through base axis and wrist. This is exact for
+arms built like the Scorbot and approximate for most others; the radii allow for the difference.
+Detections within the silhouette of this volume are not accepted as a hand.
 """
 
 from __future__ import annotations
@@ -23,32 +22,32 @@ from fingerpost.silhouette import Capsule
 Array = NDArray[np.float64]
 
 CARRIED_M = 0.04
-"""How far a gripped block reaches beyond the working point [m]; the paper's is 30 mm."""
+"""Extent of a gripped block beyond the working point [m]; the paper's is 30 mm."""
 
 STEP_M = 0.03
-"""On its way the arm is drawn every so often [m]: half a gripper's radius."""
+"""Interval between the poses at which a moving arm is modelled [m]: half a gripper's radius."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmShape:
-    """The build of an arm.
+    """Dimensions of an arm.
 
     Attributes
     ----------
     base_height_m : float
         Height of the shoulder's axis above the robot's Z = 0 [m].
     shoulder_offset_m : float
-        From the base's axis to the shoulder's [m].
+        Distance from the base's axis to the shoulder's [m].
     upper_arm_m, forearm_m : float
-        From shoulder to elbow, and from there to the wrist [m].
+        Distances from shoulder to elbow, and from there to the wrist [m].
     tool_m : float
-        From the wrist to the gripper's working point [m].
+        Distance from the wrist to the gripper's working point [m].
     hand_m : float
         Length of the gripper itself, from the working point [m].
     gripper_radius_m : float
-        Around the gripper with its jaws open [m].
+        Radius around the gripper with its jaws open [m].
     link_radius_m, base_radius_m : float
-        Around each link, and around the column that carries the shoulder [m].
+        Radii around each link, and around the column that carries the shoulder [m].
     """
 
     base_height_m: float
@@ -63,9 +62,9 @@ class ArmShape:
 
     @classmethod
     def of_limits(cls, limits: Limits | None) -> ArmShape:
-        """Return the usual build of an arm of which only the limits are known.
+        """Return typical dimensions of an arm of which only the limits are known.
 
-        Upper arm and forearm reach to the farthest corner of the limits, or to `reach_m`.
+        Upper arm and forearm reach the farthest corner of the limits, or `reach_m`.
         """
         reach_m = 0.8
         if limits is not None:
@@ -82,7 +81,7 @@ class ArmShape:
     def capsules(self, pose: Pose) -> tuple[Capsule, ...]:
         """Return the arm with its gripper at a pose, in the robot's frame [m].
 
-        A wrist that is out of the links' reach stretches them; no link is left out.
+        If the wrist is out of reach, the links are stretched; none is left out.
         """
         azimuth_rad = math.atan2(pose.y_m, pose.x_m)
         pitch_rad = TOOL_DOWN_RAD if pose.pitch_rad is None else pose.pitch_rad
@@ -127,9 +126,9 @@ class ArmShape:
 
 
 def along(poses: Sequence[Pose]) -> Iterator[Pose]:
-    """Return poses along straight ways from each given one to the next, `STEP_M` apart.
+    """Yield poses along straight lines from each given one to the next, `STEP_M` apart.
 
-    Angles are those at the end of each way.
+    Angles are those at the end of each line.
     """
     yield from poses[:1]
     for start, end in pairwise(poses):

@@ -1,4 +1,4 @@
-"""Signals that end or suspend a program, and an arm that must not go on without it."""
+"""Stops an arm on signals that end or suspend the program."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ logger = logging.getLogger(__name__)
 
 @contextmanager
 def stopping_on(stop: Callable[[str], None], *numbers: signal.Signals) -> Iterator[None]:
-    """Stop on signals, every time, then let them take their course; in the main thread only.
+    """Stop on signals, every time, before their usual effect; in the main thread only.
 
     Parameters
     ----------
     stop : callable
-        Called with the signal's name, in its handler; must not wait. What it raises is logged:
-        the signal takes its course.
+        Called with the signal's name, in its handler; must not wait. Its exceptions are logged, and
+        the signal has its usual effect.
     *numbers : signal.Signals
-        Which; SIGINT and SIGTERM by default.
+        The signals; SIGINT and SIGTERM by default.
     """
     before = {
         number: signal.getsignal(number) or signal.SIG_DFL
@@ -38,8 +38,8 @@ def stopping_on(stop: Callable[[str], None], *numbers: signal.Signals) -> Iterat
             previous(number, frame)
         elif previous is not signal.SIG_IGN:
             signal.signal(number, signal.SIG_DFL)
-            signal.raise_signal(number)  # in this thread, so it is done when this returns
-            # A suspended program has been continued: the next suspension must stop the arm too.
+            signal.raise_signal(number)  # in this thread, so it is delivered before this returns
+            # A suspended program has been continued: the next suspension must stop the arm as well.
             signal.signal(number, on_signal)
 
     for number in before:

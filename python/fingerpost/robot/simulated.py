@@ -1,8 +1,7 @@
-"""A robot without metal: moves along straight lines at its speed, in no other time than is given.
+"""A simulated robot, which moves along straight lines at its speed, on the given clock.
 
-For demonstrations and for trying guidance out. It follows the protocol to the letter, homing and
-limits included, but nothing about it is a particular arm; for the dialogue of one, see
-`fingerpost.robot.emulator`.
+For demonstrations and tests of guidance. It implements the whole protocol, including homing and
+limits, but no particular arm; for the dialogue of one, see `fingerpost.robot.emulator`.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from fingerpost.robot.options import CheckedOptions
 from fingerpost.robot.protocol import TOOL_DOWN_RAD, Angle, GripperKind, Limits, Pose
 
 HOME = (0.3, 0.0, 0.3, TOOL_DOWN_RAD, 0.0)
-"""Where it stands after homing: x, y, z [m], pitch, roll [rad]."""
+"""Pose after homing: x, y, z [m], pitch, roll [rad]."""
 
 SIMULATED_LIMITS = Limits(
     lower_m=(-0.7, -0.7, 0.0),
@@ -35,14 +34,14 @@ SIMULATED_LIMITS = Limits(
 
 
 class SimulatedOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a simulated robot behaves.
+    """Options of a simulated robot.
 
     Attributes
     ----------
     acceleration_m_s2 : float
-        Of every move [m/s²].
+        Acceleration of every move [m/s²].
     homing_s, gripper_s : float
-        Time that homing and the gripper take [s].
+        Durations of homing and of the gripper's motion [s].
     """
 
     acceleration_m_s2: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 2.0
@@ -56,11 +55,11 @@ class SimulatedRobot(Arm):
     Parameters
     ----------
     options : SimulatedOptions
-        How it behaves.
+        Its options.
     limits : Limits
-        What it may be asked for.
+        Limits of commands.
     clock, sleep : callable
-        Monotonic time [s], and a wait of so many seconds of it.
+        Monotonic time [s], and a wait for a time on that clock [s].
     """
 
     def __init__(
@@ -79,12 +78,12 @@ class SimulatedRobot(Arm):
 
     @property
     def opening(self) -> float:
-        """How far the gripper is open: 0 closed … 1 open."""
+        """Opening of the gripper: 0 closed … 1 open."""
         return self._opening
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Where the gripper is, homed or not: x, y, z [m], pitch, roll [rad]."""
+        """Position of the gripper, homed or not: x, y, z [m], pitch, roll [rad]."""
         return self._motion.position(self._clock())
 
     def _open(self) -> None:

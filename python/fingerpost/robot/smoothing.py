@@ -1,8 +1,8 @@
-"""The One-Euro filter (Casiez, Roussel & Vogel 2012) for a point, and what it costs in time.
+"""The One-Euro filter (Casiez, Roussel & Vogel 2012) of a point, and its delay.
 
-A low-pass filter of first order whose cutoff rises with speed: still hands are smoothed hard,
-quick ones hardly. Here the speed is that of the point, not of each coordinate, so that the result
-does not depend on how the axes lie. Its price is delay, given by `OneEuroFilter.lag_s`.
+A first-order low-pass filter whose cutoff rises with speed: still hands are smoothed strongly, fast
+ones hardly. Here the speed is that of the point, not of each coordinate, so that the result does
+not depend on the axes. The resulting delay is given by `OneEuroFilter.lag_s`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from fingerpost.checks import finite_array, in_range
 from fingerpost.errors import InvalidInputError
 
 LEAST_CUTOFF_HZ = 1e-3
-"""A low-pass this slow is minutes late; one much slower never arrives in floating point [Hz]."""
+"""Least cutoff [Hz]: such a filter is minutes late, a much lower one never converges in floating
+point."""
 
 
 class OneEuroFilter:
@@ -25,7 +26,8 @@ class OneEuroFilter:
     Parameters
     ----------
     min_cutoff_hz : float
-        Cutoff for a point at rest [Hz], at least `LEAST_CUTOFF_HZ`. Lower is smoother and later.
+        Cutoff for a point at rest [Hz], at least `LEAST_CUTOFF_HZ`. A lower one is smoother, with
+        more delay.
     slope_hz_s : float
         Rise of the cutoff with speed [Hz per unit/s], ≥ 0: the paper's β.
     speed_cutoff_hz : float
@@ -34,7 +36,7 @@ class OneEuroFilter:
     Raises
     ------
     InvalidInputError
-        A parameter is out of its range.
+        A parameter out of range.
     """
 
     def __init__(
@@ -49,7 +51,7 @@ class OneEuroFilter:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything: the next point passes unchanged."""
+        """Reset: the next point passes unchanged."""
         self._time_s: float | None = None
         self._point: NDArray[np.float64] | None = None
         self._velocity: NDArray[np.float64] | None = None
@@ -57,7 +59,7 @@ class OneEuroFilter:
 
     @property
     def lag_s(self) -> float:
-        """How far the result is behind a steadily moving point, at the present cutoff [s].
+        """Delay behind a uniformly moving point, at the present cutoff [s].
 
         The filter ``y ← y + α (x − y)`` follows a ramp at a distance of (1 − α) / α steps.
         """

@@ -1,14 +1,14 @@
-"""SO-100 and SO-101, the printed arms of six Feetech servos that LeRobot made common.
+"""SO-100 and SO-101, 3D-printed arms with six Feetech servos, supported by LeRobot.
 
-Five servos are the arm's joints and the sixth is its gripper. The driver streams joint positions
-(`fingerpost.robot.streaming`) that closed-form kinematics (`fingerpost.robot.five_axis`) gives for
-a straight line of the gripper. Lengths are those of the arm's own URDF (TheRobotStudio/SO-ARM100,
-`so101_new_calib.urdf` and `so100.urdf`), whose zero is the middle of each joint's range, as
-LeRobot's calibration finds it. The frame has its origin under the base's axis on the table, x ahead
-of the arm and y to its left.
+Five servos drive the arm's joints and the sixth its gripper. The driver streams joint positions
+(`fingerpost.robot.streaming`) by closed-form kinematics (`fingerpost.robot.five_axis`) for a
+straight line of the gripper. Lengths are from the arm's own URDF (TheRobotStudio/SO-ARM100,
+`so101_new_calib.urdf` and `so100.urdf`), whose zero is the middle of each joint's range, as in
+LeRobot's calibration. The frame has its origin on the table under the base's axis, x ahead of the
+arm and y to its left.
 
 A stop writes the last measured position as every joint's goal: the arm stands, with its torque on.
-Servos whose torque is off are sent nothing until homing switches it on.
+Nothing is sent to servos without torque until homing switches it on.
 """
 
 from __future__ import annotations
@@ -46,28 +46,28 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_ro
 GRIPPER = "gripper"
 
 BAUD = 1_000_000
-"""The servos' own speed as they come [bit/s]."""
+"""The servos' factory setting [bit/s]."""
 
 CHECKED_M, CHECKED_RAD = 0.005, 0.05
-"""A way is checked so often before the arm goes it [m, rad]."""
+"""Interval at which a path is checked before the arm moves along it [m, rad]."""
 
 LEVER_M = 0.1
-"""Pitch and roll turn no faster than the gripper would on such a lever [m]: about its length."""
+"""Lever that converts rates of pitch and roll to the gripper's speed [m]: about its length."""
 
 GRIPPER_SPEED = 1000
-"""Of the gripper's servo [counts/s]: open or closed within 1.5 s."""
+"""Speed of the gripper's servo [counts/s]: it opens or closes within 1.5 s."""
 
 GRIPPER_STILL_S = 0.2
-"""A gripper that has not moved for this long stands [s]."""
+"""Time without motion after which a gripper stands [s]."""
 
 GRIPPER_NEAR = 20
-"""Readings of the gripper this near each other are one place [counts]: 0.5 mm at its tip."""
+"""Greatest difference of equal readings of the gripper [counts]: 0.5 mm at its tip."""
 
 GRIPPER_TORQUE = 500
 """The gripper's share of its greatest torque [0.1 %], as LeRobot sets it."""
 
 SERVO_ACCELERATION = 254
-"""The servo's own ramp, at its steepest: ramps are the stream's."""
+"""Steepest ramp of the servo itself: the stream makes the ramps."""
 
 ZERO_FOREARM_M = (0.1349, 0.0052)
 ZERO_UPPER_ARM_M = (0.028, 0.11257)
@@ -76,16 +76,16 @@ ZERO_UPPER_ARM_M = (0.028, 0.11257)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Build:
-    """What SO-100 and SO-101 differ in.
+    """Differences between SO-100 and SO-101.
 
     Attributes
     ----------
     name : str
         Its name in URLs.
     shoulder_height_m, shoulder_offset_m : float
-        Of the shoulder's axis, above the table and ahead of the base's axis [m].
+        Position of the shoulder's axis, above the table and ahead of the base's axis [m].
     tool_m : float
-        From the wrist's pitch axis to between the tips of the jaws [m].
+        Distance from the wrist's pitch axis to the point between the tips of the jaws [m].
     """
 
     name: str
@@ -105,19 +105,19 @@ _UPPER_RAD = math.atan2(ZERO_UPPER_ARM_M[1], ZERO_UPPER_ARM_M[0])
 _FORE_RAD = math.atan2(ZERO_FOREARM_M[1], ZERO_FOREARM_M[0])
 
 ZERO_RAD = np.array([0.0, _UPPER_RAD, _FORE_RAD - _UPPER_RAD, -_FORE_RAD, 0.0])
-"""Azimuth, elevations and roll (5,) [rad], as `FiveAxis` counts them, at zero of all joints; from
-there each falls as its servo's position rises."""
+"""Azimuth, elevations and roll (5,) [rad], as in `FiveAxis`, at zero of all joints; each decreases
+as its servo's position increases."""
 
 
 class ServoCalibration(msgspec.Struct, frozen=True):
-    """What LeRobot knows of one servo.
+    """LeRobot's calibration of one servo.
 
     Attributes
     ----------
     id : int
         Its number on the bus.
     homing_offset : int
-        What it takes off its encoder's reading [counts].
+        Offset that it subtracts from its encoder's reading [counts].
     range_min, range_max : int
         The ends of the joint's range, as positions [counts].
     """
@@ -144,12 +144,12 @@ def read_calibration(path: str) -> dict[str, ServoCalibration]:
     Returns
     -------
     dict
-        Of each of the arm's servos, by name.
+        Calibration of each of the arm's servos, by name.
 
     Raises
     ------
     InvalidInputError
-        There is no such file, or it is none of such an arm; the message names what is wrong.
+        No such file, or not of such an arm; the message says what is wrong.
     """
     try:
         text = Path(path).expanduser().read_bytes()
@@ -177,7 +177,7 @@ def read_calibration(path: str) -> dict[str, ServoCalibration]:
 
 
 class SoArmOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How to use an SO-100 or SO-101.
+    """Options of an SO-100 or SO-101.
 
     Attributes
     ----------
@@ -190,17 +190,17 @@ class SoArmOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fie
     max_joint_rad_s : float
         Greatest speed of a joint [rad/s].
     near_m : float
-        The arm has arrived this near its goal [m]: it hangs by its own weight.
+        Distance from its goal at which the arm has arrived [m]: it sags by its own weight.
     rate_hz : float
-        Positions are sent so often [Hz].
+        Rate of positions [Hz].
     baud : int
         Bits per second.
     reply_s : float
         Longest time to one servo's answer [s].
     gripper_timeout_s : float
-        Longest time that the gripper may take [s].
+        Time limit of the gripper's motion [s].
     poll_s, stall_s : float
-        How the end of a move is seen [s], as in `ArrivalRule`.
+        Parameters of the end of a move [s], as in `ArrivalRule`.
     """
 
     calibration: str
@@ -225,15 +225,15 @@ class SoArm(StreamedArm):
     url : str
         Serial device, `socket://host:port` or `rfc2217://host:port`.
     build : Build
-        Which of them.
+        The type of arm.
     options : SoArmOptions
-        How to use it.
+        Its options.
     limits : Limits, optional
-        What it may be asked for; by default a half ball of its reach.
+        Limits of commands; by default a half ball of its reach.
     tap : callable, optional
-        Sees every transfer, `tap("out" or "in", data)`.
+        Called with every transfer, `tap("out" or "in", data)`.
     clock, sleep : callable
-        Monotonic time [s], and a wait of so many seconds of it.
+        Monotonic time [s], and a wait for a time on that clock [s].
 
     Raises
     ------
@@ -295,7 +295,7 @@ class SoArm(StreamedArm):
             {servo.id: name for name, servo in self._servos.items()},
             clock,
             reply_s=options.reply_s,
-            lenient={self._gripper.id: feetech.OVERLOAD},  # it holds something
+            lenient={self._gripper.id: feetech.OVERLOAD},  # when it holds an object
         )
         self._measured: dict[int, int] = {}  # positions [counts] by servo
         self._sent: dict[int, int] = {}  # and the last goals of the joints
@@ -316,7 +316,7 @@ class SoArm(StreamedArm):
         self._hold(has_arrived=False)
 
     def _need_this_arms_file(self) -> None:
-        """See that the servos have the offsets of the file, without which no position is one."""
+        """Check that the servos have the offsets of the file, without which positions are wrong."""
         read = self._bus.read(feetech.HOMING_OFFSET, 2)
         for name, servo in self._servos.items():
             offset = signed(read[servo.id], feetech.OFFSET_SIGN_BIT)
@@ -332,7 +332,7 @@ class SoArm(StreamedArm):
         self._measured, self._sent, self._holding = {}, {}, set()
 
     def _make_ready(self, turn: Turn, report: Callable[[str], None]) -> None:
-        """Switch the torque on where the arm stands; its encoders are absolute."""
+        """Switch the torque on at the arm's present position; its encoders are absolute."""
         self._check(turn)
         report("absolute encoders: no motion needed")
         self._measure()
@@ -393,7 +393,7 @@ class SoArm(StreamedArm):
     def _hold(self, *, has_arrived: bool) -> None:
         if not self._measured:
             raise ConnectionLostError("not connected: call connect() first")
-        # A gripper that stands goes on holding what it holds.
+        # A gripper that stands keeps its grip.
         held = self._holding - (set() if self._gripper_moves else {self._gripper.id})
         counts = {**self._measured, **(self._sent if has_arrived else {})}
         self._sent = {servo: counts[servo] for servo in sorted(held)}
@@ -401,7 +401,7 @@ class SoArm(StreamedArm):
             self._bus.write_now(feetech.ACCELERATION, self._goals(self._sent))
 
     def _goals(self, counts: Mapping[int, int]) -> dict[int, tuple[int, ...]]:
-        """Return what is written for each servo: acceleration, goal, no time, greatest speed."""
+        """Return the values written to each servo: acceleration, goal, no time, greatest speed."""
         joint_speed = round(self._options.max_joint_rad_s * COUNTS_PER_TURN / (2 * math.pi))
         return {
             servo: (
@@ -414,7 +414,7 @@ class SoArm(StreamedArm):
         }
 
     def _move_gripper(self, opening: float, turn: Turn) -> None:
-        """Open or close until it stands: at its goal, or on what it holds."""
+        """Open or close until it stands: at its goal, or at an object."""
         gripper = self._gripper
         goal = round(gripper.range_min + opening * (gripper.range_max - gripper.range_min))
         start = self._measured_gripper()
@@ -429,7 +429,7 @@ class SoArm(StreamedArm):
             raise GripperError(f"the gripper stands at {stands_at} counts, sent to {goal} to open")
 
     def _await_gripper(self, start: int, goal: int, turn: Turn) -> int:
-        """Wait until the gripper stands; return where [counts]."""
+        """Wait until the gripper stands; return its position [counts]."""
         at, since_s = start, self._clock()
         end_s = since_s + self._options.gripper_timeout_s
         while self._clock() - since_s < GRIPPER_STILL_S:
@@ -449,7 +449,7 @@ class SoArm(StreamedArm):
 
 
 def _kinematics(build: Build, servos: Mapping[str, ServoCalibration]) -> FiveAxis:
-    """Return the arm's lengths [m] and what its calibration leaves of its ranges."""
+    """Return the arm's lengths [m] and its ranges within the calibration."""
     ends = [
         _angles(np.array([getattr(servos[name], end) for name in JOINTS]), servos)
         for end in ("range_max", "range_min")

@@ -1,9 +1,9 @@
-"""A robot's stop, repeated until it has gone through.
+"""Stop of a robot, repeated until it has succeeded.
 
-A driver's stop may raise anything: an error of its line, of a vendor's library, or of its own code.
-To `Stopper` all of them mean that the arm may still move. A stop is *unsettled* from its call until
-it, or one called after it, has returned. A failed stop is repeated, by `retry`, until its line is
-known to be dead: nothing but a new connection helps then, and opening one stops the arm.
+A driver's stop may raise any exception: of its line, of a vendor's library, or of its own code. For
+`Stopper` each means that the arm may still move. A stop is *unsettled* from its call until it, or a
+later one, has returned. A failed stop is repeated, by `retry`, until its line is known to be dead:
+then only a new connection helps, and opening one stops the arm.
 """
 
 from __future__ import annotations
@@ -18,15 +18,16 @@ from fingerpost.robot.protocol import Robot, RobotState
 logger = logging.getLogger(__name__)
 
 STOP_ATTEMPTS = 3
-"""A failing stop is called this often at once: in the handler of a signal that ends the program
-there is no later, and a line that is lost each time is dead."""
+"""Number of immediate attempts at a failing stop: the handler of a signal that ends the program has
+no later chance, and a line that is lost at every attempt is dead."""
 
 
 WATCH_S = 0.02
-"""How often a guard looks, and so repeats a failing stop [s]: the time that a stop may take."""
+"""Interval of a guard's checks, and so of the repetitions of a failing stop [s]: the time that a
+stop may take."""
 
 SENT = "sent"
-"""The outcome of a stop that went through at once."""
+"""The outcome of a stop that succeeded at once."""
 
 
 class Stopper:
@@ -35,15 +36,15 @@ class Stopper:
     Parameters
     ----------
     robot : Robot
-        Whose `stop` may raise anything.
+        The robot; its `stop` may raise any exception.
     """
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self._numbers = itertools.count()
-        # By number of the call: its error, or None while it lasts. Calls that went through are
-        # not in it. Each access is one atomic operation: a signal handler could not wait for a
-        # lock that is held by the code it interrupts.
+        # By number of the call: its error, or None while it lasts. Successful calls are removed.
+        # Each access is one atomic operation: a signal handler could not wait for a lock that is
+        # held by the code it interrupts.
         self._unsettled: dict[int, BaseException | None] = {}
         self._failed_attempts = 0
         self._line_is_dead = False
@@ -51,20 +52,20 @@ class Stopper:
 
     @property
     def failure(self) -> BaseException | None:
-        """The last error of a stop that has not gone through since; None if there is none."""
+        """Last error of a stop that has not succeeded since; None without one."""
         errors = [error for error in list(self._unsettled.values()) if error is not None]
         return errors[-1] if errors else None
 
     @property
     def problem(self) -> str:
-        """Why a stop has not gone through yet; empty if all have."""
+        """Why a stop has not succeeded; empty if all have."""
         if (failure := self.failure) is not None:
             return described(failure)
         return "it is still being sent" if self._unsettled else ""
 
     @property
     def line_is_dead(self) -> bool:
-        """Whether a failed stop cannot go through before the robot is connected anew."""
+        """Whether a failed stop cannot succeed before the robot is reconnected."""
         return self._line_is_dead
 
     def send(self) -> str:
@@ -73,7 +74,7 @@ class Stopper:
         Returns
         -------
         str
-            The outcome for the log: `sent`, at which attempt if not at the first, or why not.
+            The outcome for the log: `sent`, with the attempt if not the first, or the error.
         """
         for _ in range(STOP_ATTEMPTS):
             outcome, gone_through = self._attempt()
@@ -88,7 +89,7 @@ class Stopper:
         Returns
         -------
         str
-            The outcome if it has gone through now; empty if not, or if another thread repeats it.
+            The outcome if it has succeeded; empty if not, or if another thread repeats it.
         """
         if not self._retrying.acquire(blocking=False):
             return ""
@@ -103,7 +104,7 @@ class Stopper:
             self._retrying.release()
 
     def _attempt(self) -> tuple[str, bool]:
-        """Call the robot's stop; return the outcome, and whether the stop has gone through."""
+        """Call the robot's stop; return the outcome, and whether it has succeeded."""
         number = next(self._numbers)
         self._unsettled[number] = None
         before = self.failure
@@ -115,7 +116,7 @@ class Stopper:
             self._failed_attempts += 1
             level = logging.ERROR if before is None else logging.DEBUG  # once, not 50 times a s
             logger.log(level, "the stop failed and is repeated: %s", described(error))
-            if not isinstance(error, Exception):  # Ctrl-C, say: the caller's, not the driver's
+            if not isinstance(error, Exception):  # such as Ctrl-C: for the caller
                 raise
             return described(error), False
         self._supersede(number)
@@ -127,7 +128,7 @@ class Stopper:
         return f"{SENT} at attempt {failed + 1}, after {described(before)}", True
 
     def _supersede(self, number: int) -> None:
-        """Forget the failures of the stops that were called before one."""
+        """Remove the failures of earlier stops."""
         for earlier, error in list(self._unsettled.items()):
             if earlier < number and error is not None:
                 self._unsettled.pop(earlier, None)
@@ -135,12 +136,12 @@ class Stopper:
     def _disconnected(self) -> bool:
         try:
             return self._robot.status().state is RobotState.DISCONNECTED
-        except Exception:  # a driver that cannot answer this may still be able to stop
+        except Exception:  # a driver without a status may still be able to stop
             return False
 
 
 def described(error: BaseException) -> str:
-    """Return an error in words: the message of a `RobotError`, the kind of any other as well."""
+    """Return the text of an error: the message, with the type unless it is a `RobotError`."""
     text = str(error)
     if isinstance(error, RobotError) and text:
         return text

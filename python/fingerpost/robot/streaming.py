@@ -1,15 +1,15 @@
-"""The base of arms that are sent one pose after the other, at a fixed rate.
+"""Base class of arms that receive a stream of poses at a fixed rate.
 
-A servo goes to where it is sent as fast as it can, and a controller that takes a stream of poses
-does the like: neither knows a straight line or a speed. `StreamedArm` knows both. It interpolates
-the queued moves (`fingerpost.robot.motion`) and sends where the arm shall be now, from a thread of
-its own, until the last move has ended. Nothing is sent ahead: a program that is killed leaves an
-arm that stands within one period's way. Nor is anything caught up on: where the program, or an
-answer, was late, the arm is late, and neither faster than asked for nor off its line.
+A servo moves to its goal as fast as it can, and so does a controller for streams of poses: neither
+implements straight lines or speeds. `StreamedArm` does. It interpolates the queued moves
+(`fingerpost.robot.motion`) and sends the present nominal pose, from a separate thread, until the
+last move has ended. Nothing is sent ahead: if the program is killed, the arm stops within one
+period. Delays are not caught up: if the program or an answer is late, the arm is late, but neither
+faster than commanded nor off its line.
 
-A stop ends the stream by the count that voids every command (`fingerpost.robot.arm`), and has the
-driver hold the arm where it was last measured. The next move begins where the arm then is. An arm
-that has arrived keeps its goal: it hangs a little below it, and would sink with every stop.
+A stop ends the stream by the number that voids every command (`fingerpost.robot.arm`), and the
+driver holds the arm at its last measured pose. The next move begins at the arm's pose at that time.
+An arm that has arrived keeps its goal: it sags slightly, and would sink further with every stop.
 """
 
 from __future__ import annotations
@@ -27,21 +27,20 @@ from fingerpost.robot.protocol import Limits, Pose
 from fingerpost.robot.stopping import described
 
 LATE_PERIODS = 1.5
-"""From one place to the next the arm goes no further than in so many periods, however late that
-is."""
+"""Greatest step from one place to the next, in periods, regardless of delays."""
 
 
 class StreamedArm(Arm):
-    """Base of the drivers that stream; a *place* is a vector of the driver's own.
+    """Base class of the drivers that stream; a *place* is a vector defined by the driver.
 
     Parameters
     ----------
     limits : Limits or None
-        What may be asked; None refuses every motion.
+        Limits of commands; None refuses every motion.
     rate_hz : float
-        Poses are sent so often [Hz].
+        Rate of poses [Hz].
     acceleration_m_s2 : float
-        Of every move [m/s²].
+        Acceleration of every move [m/s²].
     arrival, clock, sleep
         As for `Arm`.
     """
@@ -59,18 +58,18 @@ class StreamedArm(Arm):
         super().__init__(limits, arrival=arrival, clock=clock, sleep=sleep)
         self._period_s = 1 / rate_hz
         self._acceleration_m_s2 = acceleration_m_s2
-        self._motion: MotionQueue | None = None  # not known after a stop
-        self._path_s = 0.0  # time by which the queued moves are run
-        self._has_arrived = False  # at the place that was sent last, or is held there
+        self._motion: MotionQueue | None = None  # unknown after a stop
+        self._path_s = 0.0  # time along the queued moves
+        self._has_arrived = False  # at the last place sent, or held there
         self._stream_turn = Turn(0, 0.0)
         self._stream_error: RobotError | None = None
         self._wakes: queue.SimpleQueue[bool] | None = None  # of this connection's thread
 
-    # What a driver provides, beside `_open` and `_move_gripper`.
+    # Hooks of a driver, in addition to `_open` and `_move_gripper`.
 
     @abstractmethod
     def _make_ready(self, turn: Turn, report: Callable[[str], None]) -> None:
-        """Do what homing means for this arm, and see that it can move."""
+        """Home this arm in its own way, and check that it can move."""
 
     @abstractmethod
     def _disconnect(self) -> None:
@@ -78,7 +77,7 @@ class StreamedArm(Arm):
 
     @abstractmethod
     def _measure(self) -> Vector:
-        """Return the place where the arm is now; raise a fault that it reports."""
+        """Return the present place of the arm; raise a fault that it reports."""
 
     @abstractmethod
     def _pose_at(self, place: Vector) -> Pose:
@@ -86,24 +85,24 @@ class StreamedArm(Arm):
 
     @abstractmethod
     def _path(self, start: Vector, pose: Pose, speed_m_s: float) -> Path:
-        """Return the straight way of the gripper; raise if the arm cannot go it.
+        """Return the straight path of the gripper; raise if the arm cannot follow it.
 
-        Its length [m] is run at the speed asked for, so it is longer than the gripper's way where
-        something else than the gripper would be too fast.
+        Its length [m] is run at the given speed, so it is longer than the gripper's path if another
+        part would be too fast.
         """
 
     @abstractmethod
     def _send_place(self, place: Vector) -> None:
-        """Send where the arm shall be now, without waiting for an answer."""
+        """Send the present nominal place of the arm, without waiting for an answer."""
 
     @abstractmethod
     def _hold(self, *, has_arrived: bool) -> None:
-        """Send that the arm stays where it was last measured, past every queue.
+        """Send the command to hold the last measured place, bypassing every queue.
 
-        One that has arrived may stay where it was sent.
+        An arm that has arrived may hold its goal.
         """
 
-    # Inside.
+    # Internals.
 
     def _close(self) -> None:
         if self._wakes is not None:
@@ -114,7 +113,7 @@ class StreamedArm(Arm):
 
     def _home(self, turn: Turn, report: Callable[[str], None]) -> None:
         self._motion = self._stream_error = None
-        self._has_arrived = False  # somebody may have moved it by hand
+        self._has_arrived = False  # it may have been moved by hand
         self._make_ready(turn, report)
 
     def _start_move(self, pose: Pose, speed_m_s: float, turn: Turn) -> None:
@@ -153,25 +152,25 @@ class StreamedArm(Arm):
         self._has_arrived = True
 
     def _raise_stream_error(self) -> None:
-        """Raise what the stream ended with; a thread has nobody else to say it to."""
+        """Raise the error that ended the stream's thread, if any."""
         error, self._stream_error = self._stream_error, None
         if error is not None:
             raise error
 
     def _stream(self, wakes: queue.SimpleQueue[bool]) -> None:
-        """Send while there is something to send, until the connection is closed."""
+        """Send places while there are moves, until the connection is closed."""
         while wakes.get():
             try:
                 self._send_along(wakes)
             except StoppedError:
                 continue  # a stop has held the arm
-            except Exception as error:  # the thread that waits for the arm raises it
+            except Exception as error:  # raised again by the thread that waits for the arm
                 self._motion = None
                 self._stream_error = _as_robot_error(error)
                 self._hold_if_possible()
 
     def _send_along(self, wakes: queue.SimpleQueue[bool]) -> None:
-        """Send the places of the queued moves, one a period, up to the end of the last one."""
+        """Send the places of the queued moves, one per period, to the end of the last one."""
         due_s = last_s = self._clock()
         while True:
             with self._exchange_lock:
@@ -191,15 +190,15 @@ class StreamedArm(Arm):
     def _leave_for(self, place: Vector) -> None:
         self._has_arrived = False
         self._send_place(place)
-        self._has_arrived = False  # also after a stop that came in between
+        self._has_arrived = False  # also after a stop meanwhile
 
     def _hold_if_possible(self) -> None:
         try:
             self._hold(has_arrived=False)
-        except RobotError:  # the error that it is called for is kept
+        except RobotError:  # the original error is kept
             return
 
 
 def _as_robot_error(error: Exception) -> RobotError:
-    """Return an error of the stream as one that stops the arm."""
+    """Return an error of the stream as a `RobotError`, which stops the arm."""
     return error if isinstance(error, RobotError) else RobotError(described(error))

@@ -1,12 +1,12 @@
 """Universal Robots through their vendor-neutral library `ur_rtde` (extra `ur`).
 
-`ur_rtde` speaks metres, radians and rotation vectors, and answers with a bool. Moves are always
-sent asynchronously: a blocking `moveL` would keep the line from `stopL`. The arm has no gripper of
-its own; one that hangs on a digital output can be named.
+`ur_rtde` uses metres, radians and rotation vectors, and answers with a bool. Moves are always sent
+asynchronously: a blocking `moveL` would block the line for `stopL`. The arm has no gripper of its
+own; one on a digital output can be configured.
 
-What moves the arm is a script that the library uploads to the controller, its *control script*.
-Commands reach it through registers, one at a time, so ours wait for each other. It ends when its
-program is stopped at the pendant, after a protective stop, and by the watchdog: the controller
+The arm is moved by a script that the library uploads to the controller, its *control script*.
+Commands reach it through registers, one at a time, so they wait for each other here. It ends when
+its program is stopped at the pendant, after a protective stop, and by the watchdog: the controller
 stops it, and with it the arm, when this process no longer writes to it. Homing starts it again.
 """
 
@@ -49,16 +49,16 @@ MODE_RUNNING = 7
 """Robot mode of an arm that is switched on with its brakes released."""
 
 PROGRAM_STOPPED = 1
-"""Runtime state of a controller whose program has ended; one that is paused may go on."""
+"""Runtime state of a controller whose program has ended; a paused one may continue."""
 
 SCRIPT_START_S = 5.0
-"""The control script runs within this of its upload [s], as `ur_rtde` itself expects."""
+"""Time limit from the upload of the control script to its start [s], as in `ur_rtde` itself."""
 
 COMMAND_S = 0.01
-"""A stop waits this long for the command before it to be taken [s]; it has 20 ms in all."""
+"""Time that a stop waits for the previous command to be accepted [s]; it has 20 ms in all."""
 
 KICKS = 4
-"""The watchdog is kicked this often in its period, as a crowded machine may delay some."""
+"""Number of watchdog signals per period, because a busy machine may delay some."""
 
 SCRIPT_STOPPED = (
     "the control script has stopped, as when a program is stopped at the pendant: see why, then "
@@ -75,7 +75,7 @@ EMERGENCY_STOP = "emergency stop: release it and switch the arm on at the pendan
 
 
 class UrOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How to use a Universal Robots arm.
+    """Options of a Universal Robots arm.
 
     Attributes
     ----------
@@ -90,10 +90,10 @@ class UrOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields
     gripper_s : float
         Time the gripper takes [s].
     watchdog_hz : float
-        The controller stops the arm when this process has not been heard of for a period of this
-        [Hz], as when it is killed.
+        The controller stops the arm if there is no signal of this process for one period of this
+        rate [Hz], for example when it is killed.
     poll_s, stall_s : float
-        How the end of a move is seen [s], as in `ArrivalRule`.
+        Parameters of the end of a move [s], as in `ArrivalRule`.
     """
 
     reach_m: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.85
@@ -116,11 +116,11 @@ class UniversalRobot(Arm):
     host : str
         Its address.
     options : UrOptions
-        How to use it.
+        Its options.
     limits : Limits, optional
-        What it may be asked for; by default a half ball of `reach_m`.
+        Limits of commands; by default a half ball of `reach_m`.
     clock, sleep : callable
-        Monotonic time [s], and a wait of so many seconds of it.
+        Monotonic time [s], and a wait for a time on that clock [s].
 
     Raises
     ------
@@ -161,9 +161,9 @@ class UniversalRobot(Arm):
         self._control: Any = None
         self._receive: Any = None
         self._io: Any = None
-        self._commands = threading.RLock()  # a signal's handler may stop its own thread's command
-        self._stop_waits = False  # a lock alone is fair to nobody
-        self._kicking: threading.Event | None = None  # set to end the thread that kicks
+        self._commands = threading.RLock()  # a signal handler may stop its own thread's command
+        self._stop_waits = False  # a lock alone is not fair
+        self._kicking: threading.Event | None = None  # set to end the watchdog thread
 
     def _open(self) -> None:
         self._close()  # two clients of one controller would write to the same registers
@@ -179,7 +179,7 @@ class UniversalRobot(Arm):
         self._send_stop()
 
     def _explain_no_control(self, error: Exception) -> None:
-        """Raise what the library's complaint comes from, if that can be known."""
+        """Raise an error with the cause of the library's exception, if it is known."""
         text = str(error).lower()
         if "remote control" in text:
             raise CommandRefusedError(REMOTE_CONTROL_OFF) from error
@@ -192,7 +192,7 @@ class UniversalRobot(Arm):
     def _close(self) -> None:
         if self._kicking is not None:
             self._kicking.set()
-        with self._holding(SCRIPT_START_S):  # a part that receives a command opens itself again
+        with self._holding(SCRIPT_START_S):  # a part that receives a command reopens itself
             parts = (self._control, self._receive, self._io)
             self._control = self._receive = self._io = self._kicking = None
             for part in parts:
@@ -202,11 +202,11 @@ class UniversalRobot(Arm):
     def _disconnect(self, part: Any) -> None:
         try:
             part.disconnect()
-        except Exception as error:  # the other parts are to be closed as well
+        except Exception as error:  # the other parts must be closed as well
             logger.warning("%s: closing the connection: %s", self._host, error)
 
     def _home(self, turn: Turn, report: Callable[[str], None]) -> None:
-        """Have the control script run, watched; the encoders are absolute, so nothing moves."""
+        """Start the control script with its watchdog; encoders are absolute, so nothing moves."""
         self._check(turn)
         self._see_to_faults()
         with self._translated():
@@ -229,7 +229,7 @@ class UniversalRobot(Arm):
             raise self._refusal("setWatchdog")
 
     def _set_watchdog(self) -> bool:
-        """Have the controller stop the arm when this process falls silent; False if refused."""
+        """Set the controller's watchdog on this process; False if refused."""
         control = self._control
         if not hasattr(control, "setWatchdog"):
             logger.warning("this ur_rtde has no watchdog: the arm outlives a killed process")
@@ -243,7 +243,7 @@ class UniversalRobot(Arm):
         return True
 
     def _kick(self, done: threading.Event) -> None:
-        """Kick the watchdog until the connection is closed or lost."""
+        """Signal the watchdog until the connection is closed or lost."""
         while True:
             with self._commanding():
                 if done.is_set():
@@ -251,7 +251,7 @@ class UniversalRobot(Arm):
                 try:
                     if self._control.isProgramRunning():
                         self._control.kickWatchdog()
-                except Exception as error:  # the controller stops the arm; the next command says so
+                except Exception as error:  # the arm is stopped; the next command reports it
                     logger.warning("%s: the watchdog cannot be kicked: %s", self._host, error)
                     self._kicking = None
                     return
@@ -269,7 +269,7 @@ class UniversalRobot(Arm):
             with self._commanding():
                 reachable = self._control.isPoseWithinSafetyLimits(goal)
             if not reachable:
-                self._see_to_faults()  # no is also the answer to what nobody takes
+                self._see_to_faults()  # False may also mean that no script accepted the command
                 self._see_to_script()
                 raise OutOfReachError(f"{pose} is outside the arm's own safety limits")
             accepted: list[bool] = []
@@ -309,13 +309,13 @@ class UniversalRobot(Arm):
         logger.warning("%s; the program was stopped instead", refusal)
 
     def _try_stop(self, control: Any) -> RobotError | None:
-        """Stop by the control script; return why that cannot have worked."""
+        """Stop by the control script; return an error if that cannot have worked."""
         self._stop_waits = True
         try:
             with self._translated(), self._holding(COMMAND_S):
                 self._stop_waits = False
                 accepted = control.stopL(self._options.stop_m_s2, True)
-                # Some versions of the library answer nothing; refused is what no script takes.
+                # Some versions of the library return None; False means that no script accepted it.
                 if accepted is False or not control.isProgramRunning():
                     return CommandRefusedError("stopL was refused")
         except RobotError as error:
@@ -325,7 +325,7 @@ class UniversalRobot(Arm):
         return None
 
     def _program_has_ended(self) -> bool:
-        """Whether nothing runs, or could run on, that moves the arm."""
+        """Whether no program that moves the arm runs or is paused."""
         try:
             return bool(self._receive.getRuntimeState() == PROGRAM_STOPPED)
         except Exception:
@@ -368,13 +368,13 @@ class UniversalRobot(Arm):
             raise self._without_script(SCRIPT_STOPPED)
 
     def _without_script(self, otherwise: str) -> RobotFaultError:
-        """Return the error of a control script that does not run."""
+        """Return the error for a control script that does not run."""
         self._see_to_faults()
         off = ur_dashboard.remote_control_is_off(self._host)
         return RobotFaultError(REMOTE_CONTROL_OFF if off else otherwise)
 
     def _refusal(self, command: str) -> RobotError:
-        """Return the error of a command that the controller has not taken."""
+        """Return the error for a command that the controller has refused."""
         self._see_to_faults()
         self._see_to_script()
         if ur_dashboard.remote_control_is_off(self._host):
@@ -386,7 +386,7 @@ class UniversalRobot(Arm):
 
     @contextmanager
     def _commanding(self) -> Iterator[None]:
-        """Send a command when the one before is done, and after any stop that waits."""
+        """Send a command after the previous one, and after any waiting stop."""
         while self._stop_waits:
             time.sleep(COMMAND_S / 10)
         with self._commands:
@@ -394,7 +394,7 @@ class UniversalRobot(Arm):
 
     @contextmanager
     def _holding(self, patience_s: float) -> Iterator[None]:
-        """Wait for the command before, and go on without after a time."""
+        """Wait for the previous command, but continue after a time."""
         held = self._commands.acquire(timeout=patience_s)
         try:
             yield
@@ -404,7 +404,7 @@ class UniversalRobot(Arm):
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """Turn what the library raises into errors of ours."""
+        """Convert the library's exceptions to `RobotError`s."""
         try:
             yield
         except FingerpostError:

@@ -1,8 +1,8 @@
-"""The dashboard server of a Universal Robots controller: one line of text for one line of text.
+"""The dashboard server of a Universal Robots controller, which answers each line with a line.
 
-It is a second way to the controller, which no other command can hold up. It knows what the RTDE
-interface does not: whether the pendant is switched to remote control (e-series), and how to stop a
-program that no longer listens to us. PolyScope X has no such server.
+It is an independent connection to the controller, which no other command can block. Unlike the RTDE
+interface, it reports whether the pendant is switched to remote control (e-series), and can stop a
+program that no longer accepts commands. PolyScope X has no such server.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import socket
 PORT = 29999
 
 TIMEOUT_S = 0.5
-"""Of the connection and of each answer [s]; in its own network a controller takes milliseconds."""
+"""Time limit of the connection and of each answer [s]; on a local network it takes milliseconds."""
 
 
 def ask(host: str, command: str) -> str:
@@ -23,12 +23,12 @@ def ask(host: str, command: str) -> str:
     host : str
         The controller's address.
     command : str
-        As the server's manual names it, such as ``stop``.
+        A command of the server's manual, such as ``stop``.
 
     Raises
     ------
     OSError
-        Nobody answers.
+        No answer.
     """
     with (
         socket.create_connection((host, PORT), timeout=TIMEOUT_S) as line,
@@ -44,9 +44,9 @@ def ask(host: str, command: str) -> str:
 
 
 def remote_control_is_off(host: str) -> bool:
-    """Whether the controller says that its pendant is not switched to remote control.
+    """Whether the controller reports that its pendant is not switched to remote control.
 
-    A controller that has no such switch, or cannot be asked, says nothing of the kind.
+    False for a controller without such a switch, or one that does not answer.
     """
     try:
         return ask(host, "is in remote control").lower() == "false"
@@ -60,7 +60,7 @@ def stop_program(host: str) -> None:
     Raises
     ------
     OSError
-        Nobody answers, or the answer is another than that it is stopped.
+        No answer, or one that does not confirm the stop.
     """
     answer = ask(host, "stop")
     if not answer.lower().startswith("stopped"):

@@ -1,4 +1,4 @@
-"""Where an arm may be now, from its last reading and from where it has been sent since."""
+"""Possible positions of an arm, from its last reading and the goals sent since."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from fingerpost.robot.shape import ArmShape, along
 from fingerpost.silhouette import Capsule
 
 GOALS_KEPT = 2
-"""The arm is on its way to one of so many goals: a stride is sent before the last one is done."""
+"""Number of goals to which the arm may be moving: a stride is sent before the last one is done."""
 
 
 class Whereabouts:
-    """Where one arm may be.
+    """Possible positions of one arm.
 
     Parameters
     ----------
     robot : Robot
-        Its build is `robot.shape`, where it has one; else the usual one for its limits.
+        The robot; its dimensions are `robot.shape`, if it has one, else typical for its limits.
     plane : RobotPlane
-        Where the plane lies for it.
+        Position of the plane in its frame.
     """
 
     def __init__(self, robot: Robot, plane: RobotPlane) -> None:
@@ -32,36 +32,36 @@ class Whereabouts:
 
     @property
     def pose(self) -> Pose | None:
-        """The last reading, or the goal at which the arm has arrived since; None before."""
+        """Last reading, or the goal that the arm has reached since; None before any."""
         return self._read
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether the arm may be anywhere on its way to a goal."""
+        """Whether the arm may be anywhere on the path to a goal."""
         return bool(self._goals)
 
     def read(self, pose: Pose, *, moving: bool) -> None:
-        """Take a reading; an arm that has been stopped goes to none of its goals."""
+        """Store a reading; a stopped arm no longer moves to its goals."""
         self._read = pose
         if not moving:
             self._goals.clear()
 
     def sent(self, goal: Pose) -> None:
-        """Take it that the arm is being sent to a goal."""
+        """Add a goal to which the arm is sent."""
         self._goals.append(goal)
 
     def arrived(self) -> None:
-        """Take it that the arm stands at its last goal."""
+        """Mark the arm as standing at its last goal."""
         if self._goals:
             self._read = self._goals[-1]
             self._goals.clear()
 
     def body(self) -> tuple[Capsule, ...]:
-        """Return the room that the arm may take up, in plane coordinates; empty before a reading.
+        """Return the volume that the arm may occupy, in plane coordinates; empty before a reading.
 
-        That is the arm with its gripper anywhere on the way from the last reading to its goals.
+        It includes the arm with its gripper anywhere on the path from the last reading to goals.
         """
-        # Copied at once: the goals change in another thread.
+        # Copied first: another thread changes the goals.
         poses = [pose for pose in (self._read, *tuple(self._goals)) if pose is not None]
         shape = getattr(self._robot, "shape", None) or ArmShape.of_limits(self._robot.limits)
         return self._plane.capsules(part for pose in along(poses) for part in shape.capsules(pose))

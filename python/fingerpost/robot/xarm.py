@@ -1,13 +1,13 @@
 """UFACTORY xArm through its vendor's library `xarm-python-sdk` (extra `xarm`).
 
-The library speaks millimetres, and radians if asked to; every call answers with a code, 0 when all
-is well, and errors of the arm stay until they are cleaned. Moves are sent without waiting. State 4
-stops the arm and keeps it from moving until state 0.
+The library uses millimetres, and optionally radians. Every call returns a code, 0 for success, and
+errors of the arm remain until they are cleared. Moves are sent without waiting. State 4 stops the
+arm and prevents motion until state 0.
 
-The library holds a lock from each request to its answer, for up to 2 s on a line that has fallen
-silent. A stop takes no part in that: its frame goes out on the same connection, between the frames
-of others, under a transaction number that the library never uses, so that it steps over the answer.
-Nor does it wait for the network to acknowledge the frame before it (TCP_NODELAY).
+The library holds a lock from each request to its answer, for up to 2 s on a silent line. A stop
+bypasses it: its frame is sent on the same connection, between other frames, with a transaction
+number that the library never uses, so that the library skips the answer. Nor does it wait for the
+network to acknowledge the previous frame (TCP_NODELAY).
 """
 
 from __future__ import annotations
@@ -56,19 +56,20 @@ GRIPPER_PULSES = 850
 """The gripper's position when open; 0 is closed."""
 
 GRIPPER_NEAR = 2
-"""Positions of the gripper this near each other are the same place [pulses]: 0.2 mm."""
+"""Greatest difference of equal positions of the gripper [pulses]: 0.2 mm."""
 
 GRIPPER_POLL_S = 0.1
 """Pause between two readings of the gripper [s]."""
 
 GRIPPER_START_S = 2.0
-"""The gripper has begun to move within this [s], or is kept from it; the library waits as long."""
+"""Time limit for the start of the gripper's motion [s], as in the library; after it, the gripper is
+blocked."""
 
 GRIPPER_STILL_S = 0.2
-"""A gripper that has moved, and then not for this long, stands [s]."""
+"""Time without motion after which a gripper that has moved stands [s]."""
 
 OPEN_S = 10.0
-"""The control box has answered within this [s]; the library would ask a silent one for minutes."""
+"""Time limit for the control box to answer [s]; the library would try for minutes."""
 
 STOPPED_STATE = 4
 PAUSED_STATE = 3
@@ -94,13 +95,13 @@ _CODES: dict[int, tuple[type[RobotError], str]] = {
     9: (NotReadyError, "state not ready to move"),
     100: (RobotTimeoutError, "not finished in time"),
 }
-"""The library's codes that mean more than a fault, from its `APIState`."""
+"""The library's codes with a more specific error than a fault, from its `APIState`."""
 
 _WARNING_CODE = 2
 
 
 class XarmOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How to use an xArm.
+    """Options of an xArm.
 
     Attributes
     ----------
@@ -111,13 +112,13 @@ class XarmOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fiel
     max_speed_m_s, acceleration_m_s2 : float
         Greatest speed, and acceleration of moves.
     gripper : bool
-        UFACTORY's own gripper is mounted.
+        Whether UFACTORY's own gripper is mounted.
     gripper_opening_m : float
         Its widest opening [m].
     gripper_timeout_s : float
-        Longest time that it may take [s].
+        Time limit of its motion [s].
     poll_s, stall_s : float
-        How the end of a move is seen [s], as in `ArrivalRule`.
+        Parameters of the end of a move [s], as in `ArrivalRule`.
     """
 
     reach_m: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.7
@@ -139,11 +140,11 @@ class Xarm(Arm):
     host : str
         Its address.
     options : XarmOptions
-        How to use it.
+        Its options.
     limits : Limits, optional
-        What it may be asked for; by default a half ball of `reach_m`.
+        Limits of commands; by default a half ball of `reach_m`.
     clock, sleep : callable
-        Monotonic time [s], and a wait of so many seconds of it.
+        Monotonic time [s], and a wait for a time on that clock [s].
 
     Raises
     ------
@@ -186,16 +187,16 @@ class Xarm(Arm):
         self._close()
         self._api = self._connect()
         if (stream := self._stream(self._api)) is not None:
-            with suppress(OSError):  # the line of a box that is this computer is none of TCP
+            with suppress(OSError):  # on the control box itself the connection is not TCP
                 stream.com.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         with self._translated():
             self._stopped = True
             self._accept(self._api.set_state(STOPPED_STATE), "set_state")
 
     def _connect(self) -> Any:
-        """Connect in a thread, which is left alone when it takes too long."""
+        """Connect in a thread, which is abandoned after a time limit."""
         result: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        wanted = threading.Semaphore()  # for whoever comes first: the connection, or patience's end
+        wanted = threading.Semaphore()  # acquired by the first: the connection, or the time limit
 
         def connect() -> None:
             try:
@@ -229,17 +230,17 @@ class Xarm(Arm):
         if api is not None:
             try:
                 api.disconnect()
-            except Exception as error:  # it is of no use any more, whatever this says
+            except Exception as error:  # the connection is no longer used
                 logger.warning("%s: closing the connection: %s", self._host, error)
 
     def _home(self, turn: Turn, report: Callable[[str], None]) -> None:
-        """Its encoders are absolute: homing enables the motors, and moves nothing."""
+        """Enable the motors; the encoders are absolute, so nothing moves."""
         self._check(turn)
         with self._translated():
             api = self._connected()
             api.clean_error()
             api.clean_warn()
-            # Ready, an arm that was paused would go on with its move.
+            # In the ready state, a paused arm would continue its move.
             self._accept(api.set_state(STOPPED_STATE), "set_state")
             self._accept(api.motion_enable(True), "motion_enable")
             self._accept(api.set_mode(POSITION_MODE), "set_mode")
@@ -308,7 +309,7 @@ class Xarm(Arm):
 
     @staticmethod
     def _stream(api: Any) -> Any:
-        """Return the library's own connection, if this version of it has one where it was."""
+        """Return the library's own connection, if this version has it in the known attribute."""
         return getattr(getattr(api, "_arm", None), "_stream", None)
 
     def _move_gripper(self, opening: float, turn: Turn) -> None:
@@ -324,8 +325,8 @@ class Xarm(Arm):
     def _await_gripper(self, api: Any, start: int, goal: int, turn: Turn) -> None:
         """Wait until the gripper is at its goal, or stands after it has moved.
 
-        One that holds something never gets to its goal, and does not move at all when commanded
-        to close further. Nothing keeps it from opening, though, but a fault.
+        With an object in its grip, it never reaches its goal, and does not move when commanded to
+        close further. Only a fault prevents it from opening.
         """
         begin_s = since_s = self._clock()
         at = start
@@ -349,7 +350,7 @@ class Xarm(Arm):
     def _ready(self) -> Any:
         """Return the library's arm, made ready again after a stop."""
         api = self._connected()
-        if api.state == PAUSED_STATE:  # the library would wait until somebody goes on
+        if api.state == PAUSED_STATE:  # the library would wait until it is resumed
             raise NotReadyError("paused in UFACTORY Studio: go on or stop there, then home again")
         if self._stopped:
             self._make_ready(api)
@@ -380,7 +381,7 @@ class Xarm(Arm):
         if reported:
             try:
                 code, (number, _) = api.get_err_warn_code()
-            except Exception:  # what cannot be asked about is believed
+            except Exception:  # without an answer, the report is used
                 return reported
             if code == 0:
                 return int(number)
@@ -394,7 +395,7 @@ class Xarm(Arm):
         return int(position)
 
     def _accept(self, code: int, call: str, kind: type[RobotError] = RobotFaultError) -> None:
-        """Raise what a code means; warnings are no failure."""
+        """Raise the error for a code; warnings are ignored."""
         if code in (0, _WARNING_CODE):
             return
         known, meaning = _CODES.get(code, (kind, "failed"))
@@ -406,7 +407,7 @@ class Xarm(Arm):
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """Turn what the library raises on an answer that it cannot read into an error of ours."""
+        """Convert the library's exceptions on unreadable answers to a `RobotError`."""
         try:
             yield
         except FingerpostError:

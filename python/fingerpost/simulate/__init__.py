@@ -1,15 +1,15 @@
-"""A simulated rig: cameras over a table, a device that points, pictures, and what is true of them.
+"""A simulated rig: cameras over a table, a pointing device, pictures, and their ground truth.
 
     rig = SimulatedRig(background=Background(clutter=50))
     pose = PoseSampler(rig).draw(rng)
     frame = rig.render(pose, rng=rng)
     frame.images                        # one uint8 picture per view
-    frame.truth.indicated_mm            # where on the plane it points
+    frame.truth.indicated_mm            # indicated point on the plane
 
-It stands in for cameras where there are none: in the demo, in the accuracy experiment and in tests.
-Geometry is exact: outlines of sphere-swept cones are known in closed form, polygons are rasterised
-by area, and the few approximations are stated where they are made (an edge is off by 0.0003 px at
-worst). Lengths are mm, times s, angles deg where a person gives them and rad in results.
+It replaces cameras in the demo, in the accuracy experiment and in tests. Geometry is exact:
+outlines of sphere-swept cones are known in closed form, polygons are rasterised by area, and the
+few approximations are stated where they are made (the error of an edge is at most 0.0003 px).
+Lengths are in mm, times in s, angles in deg for inputs and rad in results.
 """
 
 from fingerpost.simulate.camera import Camera, Placement, Workspace

@@ -1,4 +1,4 @@
-"""Pinhole cameras with one term of radial distortion, and where they stand around the workspace.
+"""Pinhole cameras with one term of radial distortion, and their placement around the workspace.
 
 World coordinates are millimetres: the working plane is Z = 0, Z points up. Camera coordinates
 follow OpenCV: x right, y down, z forwards. Pixel (0, 0) is the centre of the top-left pixel, u
@@ -26,9 +26,9 @@ Array = NDArray[np.float64]
 # A barrel lens (k1 < 0) folds the image over where r·(1 + k1·r²) stops growing, at r² = 1/(3|k1|).
 # The model is used up to this fraction of that radius.
 USABLE_FOLD_FRACTION = 0.95
-# No pinhole images this wide: 89.9° off its axis.
+# Greatest normalised radius: 89.9° off the axis.
 WIDEST_RADIUS = 1000.0
-# Pixels around the image that the lens must still map, for the blur looks beyond the border.
+# Pixels around the image that the lens must still map, because the blur extends beyond the border.
 LENS_MARGIN_PX = 32
 
 
@@ -49,7 +49,7 @@ class Camera:
     k1
         Radial distortion, −1 to 1. The lens must reach the corners of the image.
     time_skew_s
-        How much later than the rig's clock this camera exposes [s], −1 to 1.
+        Delay of this camera's exposure relative to the rig's clock [s], −1 to 1.
     """
 
     name: str
@@ -202,11 +202,11 @@ class Camera:
 
 @dataclass(frozen=True)
 class Workspace:
-    """The square on the working plane, and the reference points that fix its coordinates.
+    """The square on the working plane, and the reference points that define its coordinates.
 
     Plane coordinates are world X and Y in mm. The reference points are the corners (0, 0),
-    (side, 0), (side, side), (0, side), followed, when there are more than four, by the other
-    points of the grid, row by row.
+    (side, 0), (side, side), (0, side), followed, if there are more than four, by the other points
+    of the grid, row by row.
     """
 
     side_mm: float = 400.0  # mm, 10…10,000
@@ -228,21 +228,21 @@ class Workspace:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where the cameras stand: on a circle around the workspace, all looking at its middle.
+    """Placement of the cameras: on a circle around the workspace, aimed at its middle.
 
     The defaults are the rig of Cipolla, Hadfield & Hollinghurst (1994): two cameras 2 m away and
     30° apart. Azimuth 0 is the side of the workspace's negative Y, positive to the right as seen
     from there.
     """
 
-    distance_m: float = 2.0  # m from the point looked at, 0.1…20
+    distance_m: float = 2.0  # m from the aim, 0.1…20
     azimuths_deg: tuple[float, ...] = (-15.0, 15.0)  # deg, one per camera, −180…180
     elevation_deg: float = 42.0  # deg above the plane, 5…90
     width_px: int = 640  # px
     height_px: int = 480  # px
     f_px: float | None = None  # px; None: the workspace takes `workspace_fill` of the width
     workspace_fill: float = 0.65  # of the width, in the view where it is widest, 0.05…2
-    aim_height_mm: float = 0.0  # mm of the point looked at above the workspace's middle, 0…1000
+    aim_height_mm: float = 0.0  # mm, height of the aim above the workspace's middle, 0…1000
     k1: tuple[float, ...] = (0.0,)  # radial distortion, one for all or one per camera, −1…1
     time_skews_s: tuple[float, ...] = (0.0,)  # s after the rig's clock, one for all or per camera
 

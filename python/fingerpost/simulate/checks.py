@@ -1,8 +1,8 @@
-"""Checks of the options that the caller gives to the simulated rig, but for arrays.
+"""Checks of the options of the simulated rig, except arrays.
 
-Each returns the value in the type the rest of the package works with, or raises
-`InvalidInputError` with the value's name, the value, and what would be right. Arrays are checked
-by `fingerpost.checks.finite_array`.
+Each returns the value in the type that the package uses, or raises `InvalidInputError` with the
+value's name, the value, and what would be right. Arrays are checked by
+`fingerpost.checks.finite_array`.
 """
 
 import math

@@ -28,7 +28,7 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Material:
-    """How bright a part is, and its colour."""
+    """Brightness and colour of a part."""
 
     contrast_ratio: float  # part minus background, in units of the lighting's contrast
     tint: Tint
@@ -56,7 +56,7 @@ class Body:
 
     `finger` is the index of the link whose end sphere is the fingertip and whose axis is the
     pointing axis, `thumb` that of the link that ends in the thumb's tip (None: no up-turned thumb).
-    `root_mm` is where the index finger begins, for its visible length.
+    `root_mm` is the start of the index finger, which defines its visible length.
     """
 
     links: tuple[Link, ...]

@@ -1,4 +1,4 @@
-"""How a pointing device moves: anything with `pose_at`, and smooth paths of the tip."""
+"""Motion of a pointing device: any object with `pose_at`, and smooth paths of the tip."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ SAMPLES_PER_PIECE = 100
 
 
 class Motion(Protocol):
-    """A pose for every time; a `DevicePose` is one that keeps still."""
+    """A pose for every time; a `DevicePose` is a static one."""
 
     def pose_at(self, time_s: float) -> DevicePose | None:
         """Pose at a time [s]; None while the device is away."""
@@ -29,7 +29,7 @@ class Motion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A path in time; before its start and after its end the device waits where the path ends.
+    """A path in time; before its start and after its end the device waits at the respective end.
 
     Parameters
     ----------
@@ -52,14 +52,14 @@ class Trajectory:
 
     @classmethod
     def hold(cls, pose: DevicePose, duration_s: float) -> "Trajectory":
-        """Return a trajectory that keeps still for a while."""
+        """Return a static trajectory of a given duration."""
         return cls.between(pose, pose, duration_s)
 
     @classmethod
     def between(cls, first: DevicePose, last: DevicePose, duration_s: float) -> "Trajectory":
-        """Return the straight way from one pose to another: all that differs changes steadily.
+        """Return the linear interpolation from one pose to another.
 
-        Azimuths are not the angles of a circle here: from −170° to 170° leads by 0°.
+        Azimuths are not wrapped here: the path from −170° to 170° passes 0°.
         """
         duration = checks.number("duration_s", duration_s, STEP_S, 1e6)
         return cls(np.array([0.0, duration]), np.stack([_vector(first), _vector(last)]))
@@ -68,10 +68,10 @@ class Trajectory:
     def through(
         cls, poses: Sequence[DevicePose], speed_m_s: float, *, ease_s: float = 0.15
     ) -> "Trajectory":
-        """Return a smooth path whose tip passes through poses at a steady speed.
+        """Return a smooth path whose tip passes through poses at constant speed.
 
         The path is a Catmull–Rom spline over the tips' distances (centripetal, so it makes no
-        loops), run through at constant speed of the tip, with steady acceleration at both ends.
+        loops), traversed at constant speed of the tip, with constant acceleration at both ends.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class Trajectory:
         speed_m_s
             Speed of the tip [m/s], 0.001 to 10.
         ease_s
-            How long the tip speeds up and slows down [s], 0 to 5.
+            Duration of acceleration and of deceleration [s], 0 to 5.
         """
         speed = 1000 * checks.number("speed_m_s", speed_m_s, 0.001, 10)
         ease = checks.number("ease_s", ease_s, 0, 5)
@@ -148,12 +148,12 @@ def pointing_session(
     poses
         The path, as for `Trajectory.through`.
     speed_m_s, entry_speed_m_s
-        Speed of the tip along the path, and when it enters and leaves [m/s].
+        Speed of the tip along the path, and of entry and exit [m/s].
     wait_s, away_s
-        How long it waits before and after, and how long it stays away [s].
+        Time of waiting before and after, and time away [s].
     entry_mm
-        How far it is drawn back along the finger when it is away [mm]; it must be far enough to be
-        out of every view.
+        Distance of withdrawal along the finger when it is away [mm]; large enough for it to be
+        outside every view.
     """
     if len(poses) < 2:
         raise InvalidInputError(f"poses has {len(poses)}; a path needs two or more")
@@ -180,12 +180,12 @@ def figure_eight(
     sway_deg: float = 12.0,
     points: int = 24,
 ) -> list[DevicePose]:
-    """Poses that point along a lying figure eight in the workspace, for a path to play or record.
+    """Return poses that point along a lying figure eight in the workspace.
 
     Parameters
     ----------
     workspace
-        Where.
+        The workspace.
     size
         Width of the eight over the workspace's side, 0.05 to 1.
     hover_mm
@@ -195,7 +195,7 @@ def figure_eight(
     sway_deg
         0 to 30.
     points
-        Number of poses, 8 to 1000; the first is where the last would have the next.
+        Number of poses, 8 to 1000; the figure is closed, so the first would follow the last.
     """
     checks.number("size", size, 0.05, 1)
     checks.number("sway_deg", sway_deg, 0, 30)

@@ -14,7 +14,7 @@ from fingerpost.simulate.render import Occluder
 
 Array = NDArray[np.float64]
 
-# Samples of the contour lie this far apart.
+# Spacing of samples along the contour.
 CONTOUR_STEP_PX = 0.25
 # Radius of a disc, in widths of the finger; the last one is cut to fit.
 RADIUS_WIDTHS = (0.35, 0.9)
@@ -51,7 +51,7 @@ def visible_contour(camera: Camera, body: Body, pose: DevicePose) -> tuple[Array
     Returns
     -------
     numpy.ndarray
-        (N, 2) pictured pixels at equal distances; what lies inside another part is left out.
+        (N, 2) pictured pixels at equal distances; those inside another part are left out.
     float
         Mean width of the finger in the image.
     """

@@ -1,4 +1,4 @@
-"""From a sharp picture to a sensor's: blur, square pixels, noise, 8 bit.
+"""Conversion of a sharp picture to that of a sensor: blur, square pixels, noise, 8 bit.
 
 Sharp pictures live on a *fine grid* of `fineness` × `fineness` cells per pixel, each cell holding
 the exact mean over its area. Convolved with a sampled Gaussian and averaged over each pixel they
@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Picture = NDArray[np.float32]
 
-# The fine grid has at most so many cells across a pixel, however small the blur.
+# Greatest number of cells across a pixel, for any blur.
 FINEST = 6
-# Where the Gaussian is cut off; what lies beyond is 6e-7 of it.
+# Truncation of the Gaussian; the omitted part is 6e-7 of it.
 KERNEL_SIGMAS = 5.0
-# Noise is drawn as 16-bit whole numbers that pick normal quantiles from a table: several times
-# faster than a normal generator, white all the same, and cut off only beyond 4.3 sigma.
+# Noise is drawn as 16-bit integers that index a table of normal quantiles: several times faster
+# than a normal generator, equally white, and truncated only beyond 4.3 sigma.
 QUANTILES = 1 << 16
 
 
@@ -46,7 +46,7 @@ class Optics:
         else:
             self.fineness = min(max(math.ceil(cells_per_sigma / blur_px), 2), FINEST)
             radius = math.ceil(KERNEL_SIGMAS * blur_px * self.fineness)
-        # Whole pixels that a pixel looks beyond its own border.
+        # Extent of the filter beyond a pixel's own border, in whole pixels.
         self.margin_px = math.ceil(radius / self.fineness)
         reach = self.margin_px * self.fineness
         offset = np.arange(-reach, reach + 1) / self.fineness
@@ -79,8 +79,8 @@ class Optics:
         """
         step, one = self.fineness, np.ones(1, np.float32)
         height, width = (n // step - 2 * self.margin_px for n in fine.shape[:2])
-        # Down each column only the sums that a pixel needs: cell rows p, p + step, … meet every
-        # step-th tap of the kernel.
+        # Along columns, only the sums that a pixel needs: cell rows p, p + step, … are multiplied
+        # by every step-th tap of the kernel.
         down = np.zeros((height, *fine.shape[1:]), np.float32)
         for phase in range(step):
             taps = self._kernel[phase::step]
@@ -98,7 +98,7 @@ def _correlated(picture: Picture, across: Picture, down: Picture) -> Picture:
 def sensed(
     light: Picture, noise: float, rng: np.random.Generator | None, *, quantise: bool
 ) -> NDArray[Any]:
-    """Grey levels of a picture with white noise of such a sigma; uint8 if quantised.
+    """Grey levels of a picture with white noise of a given sigma; uint8 if quantised.
 
     The same draw with −sigma mirrors the noise.
     """
@@ -114,7 +114,7 @@ def standard_normal(shape: tuple[int, ...], rng: np.random.Generator) -> Picture
     count = math.prod(shape)
     words = rng.integers(0, 2**64 - 1, -(-count // 4), dtype=np.uint64, endpoint=True)
     index = words.astype("<u8", copy=False).view("<u2")[:count]
-    # No index is out of bounds; the mode only spares NumPy the check.
+    # No index is out of bounds; the mode only avoids NumPy's check.
     return _normal_quantiles().take(index, mode="wrap").reshape(shape)
 
 

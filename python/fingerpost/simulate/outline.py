@@ -1,11 +1,11 @@
-"""Exact outlines of sphere-swept cones as a point sees them.
+"""Exact outlines of sphere-swept cones as seen from a point.
 
-A link is the convex hull of two spheres, and perspective keeps convex hulls, so its outline is made
-of two arcs, where each sphere's tangent cone touches it, joined by two straight lines. The straight
-lines lie in the two planes through the eye that touch both spheres: with unit normal n and sphere
-centres c, radii r, they solve n·c_start = r_start, n·c_end = r_end, |n| = 1. The two solutions
-mirror each other in the plane of the eye and the link's axis; this is why the axis of a body of
-revolution is seen midway between its flanks.
+A link is the convex hull of two spheres, and perspective preserves convex hulls, so its outline
+consists of two arcs, where each sphere's tangent cone touches it, joined by two straight lines. The
+straight lines lie in the two planes through the eye that touch both spheres: with unit normal n and
+sphere centres c, radii r, they solve n·c_start = r_start, n·c_end = r_end, |n| = 1. The two
+solutions are symmetric about the plane of the eye and the link's axis; this is why the axis of a
+body of revolution is seen midway between its flanks.
 
 The outline is given as points in space that project onto it, so the same code serves a camera
 (divide by depth) and a lamp (cut with the plane).
@@ -20,13 +20,13 @@ from fingerpost.simulate.camera import Camera
 
 Array = NDArray[np.float64]
 
-# Intervals per arc. The vertices inside an arc lie a little outside the circle, so that polygon and
-# sector have the same area: a half circle of 7 px radius is then off by ± 0.001 px, and by nothing
-# once the ripple of 0.3 px is blurred.
+# Intervals per arc. The vertices inside an arc lie slightly outside the circle, so that polygon and
+# sector have the same area: the error of a half circle of 7 px radius is then ± 0.001 px, with a
+# ripple of 0.3 px that vanishes by blurring.
 ARC_STEPS = 64
-# A link reaches no nearer to the eye's plane than this; nothing in view comes this close.
+# Near plane at which links are cut; no object in view is this close.
 NEAR_MM = 50.0
-# Straight flanks get this many vertices where a lens bends them.
+# Number of vertices of straight flanks, for lens distortion.
 FLANK_STEPS = 48
 
 
@@ -41,7 +41,7 @@ class Outline:
 
     points: Array  # (L, 2·(ARC_STEPS + 1), 3)
     apex: Array  # (L, 3) point of the outline where it meets the axis, beyond the end sphere
-    end_on: NDArray[np.bool_]  # (L,) one sphere hides the other: there are no flanks
+    end_on: NDArray[np.bool_]  # (L,) whether one sphere hides the other: no flanks
 
     @property
     def flanks(self) -> Array:
@@ -54,9 +54,9 @@ class Outline:
 def seen_links(camera: Camera, spheres_mm: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Links (2, L, 4) in camera coordinates, cut at the near plane.
 
-    Returns the links whose spheres now lie at least `NEAR_MM` in front of the camera, and a mask
-    (L,) of those that are there at all. Where a link crosses the near plane its sphere is moved
-    along the link, so what remains of it keeps its shape.
+    Returns the links, whose spheres now lie at least `NEAR_MM` in front of the camera, and a mask
+    (L,) of those that are visible at all. If a link crosses the near plane, its sphere is moved
+    along the link, so that the remaining part keeps its shape.
     """
     spheres = np.concatenate([camera.seen(spheres_mm[..., :3]), spheres_mm[..., 3:]], axis=-1)
     clearance = spheres[..., 2] - spheres[..., 3] - NEAR_MM

@@ -1,4 +1,4 @@
-"""Where a pointing device is, and random draws of it.
+"""Pose of a pointing device.
 
 The device's own frame has its origin at the fingertip, x along the pointing direction, z up
 towards the thumb and y to the left. A pose puts it into the world.
@@ -21,9 +21,9 @@ class DevicePose:
     """Position and orientation of a pointing device.
 
     Azimuth turns the pointing direction about the vertical, anticlockwise seen from above; 0 points
-    along negative Y, which is towards cameras placed at azimuth 0. Slant is how steeply the finger
-    points down. At roll 0 the thumb lies in the vertical plane of the finger, above it; positive
-    roll turns it clockwise as seen along the pointing direction.
+    along negative Y, which is towards cameras placed at azimuth 0. Slant is the angle of the finger
+    below the horizontal. At roll 0 the thumb lies in the vertical plane of the finger, above it;
+    positive roll turns it clockwise as seen along the pointing direction.
     """
 
     tip_mm: tuple[float, float, float]  # mm in the world, the point of the tip on the finger's axis
@@ -57,7 +57,7 @@ class DevicePose:
         hover_mm
             Height of the tip above the plane [mm], 0 to 2000.
         azimuth_deg, slant_deg, roll_deg
-            As in the class; the slant must be 1 to 89, for the finger must point down.
+            As in the class; the slant must be 1 to 89, because the finger must point down.
         """
         target = finite_array(target_mm, "target_mm", (2,))
         hover = checks.number("hover_mm", hover_mm, 0, 2000)
@@ -90,18 +90,18 @@ class DevicePose:
 
     @property
     def indicated_mm(self) -> Array | None:
-        """(2,) point where the finger's axis meets the plane ahead of the tip [mm], or None."""
+        """(2,) Intersection of the finger's axis with the plane ahead of the tip [mm], or None."""
         x, tip = self.direction, np.array(self.tip_mm)
         if x[2] >= 0 or tip[2] < 0:
             return None
         return np.asarray((tip - x * (tip[2] / x[2]))[:2])
 
     def retreated(self, distance_mm: float) -> "DevicePose":
-        """Return the pose drawn back along the finger, as an arm is when it leaves."""
+        """Return the pose withdrawn along the finger, as when an arm leaves."""
         distance = checks.number("distance_mm", distance_mm, 0, 10_000)
         tip = np.array(self.tip_mm) - distance * self.direction
         return DevicePose(tuple(tip), self.azimuth_deg, self.slant_deg, self.roll_deg)
 
     def pose_at(self, time_s: float) -> "DevicePose":  # noqa: ARG002
-        """Return the pose itself: a device that keeps still is a motion too."""
+        """Return the pose itself: a static device is also a motion."""
         return self

@@ -1,4 +1,4 @@
-"""Write a simulated recording to disk: pictures, rig file and truth, as a real one would have."""
+"""Writes a simulated recording to disk: pictures, rig file and ground truth."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -41,26 +41,26 @@ def write_recording(
 ) -> Path:
     """Render a motion and write it as a directory that `fingerpost run` can read.
 
-    The directory gets ``rig.toml``, the pictures of each view (``left/00000.png``, … or
+    The directory receives ``rig.toml``, the pictures of each view (``left/00000.png``, … or
     ``left.mp4``) and ``truth.csv`` with the columns ``frame,time_s,x,y``: the indicated point in mm
-    at the rig's time, empty while some view does not show the whole finger.
+    at the rig's time, empty while a view does not show the whole finger.
 
     Parameters
     ----------
     directory
-        Where; made if need be. Files of a former recording are overwritten.
+        The directory; created if necessary. Files of a previous recording are overwritten.
     rig, motion, device, others
         As for `SimulatedRig.render`.
     frames, fps
-        How many, 1 to 100,000, and how many per second, 0.1 to 1000.
+        Number of frames, 1 to 100,000, and frames per second, 0.1 to 1000.
     rng
         Source of all randomness, or its seed.
     picture_format
         ``png`` is exact; ``jpg`` and ``mp4`` are smaller and lossy.
     start_time_s
-        The start poses in the rig file are the hand's at this time; None leaves them out.
+        Time of the hand's poses that become start poses in the rig file; None omits them.
     start_error
-        By how much they are off.
+        Their error.
     reference_noise_px
         Sigma of the reference points in the rig file, in u and in v [px], 0 to 20.
     with_lens

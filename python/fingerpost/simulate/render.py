@@ -1,8 +1,9 @@
 """Pictures of pointing devices over the table.
 
-Per view, device and table meet on the fine grid of `optics`: every link is an exact polygon there,
-what is nearer covers what is farther, and the whole goes through blur and pixels once. Only the
-device's surroundings are rendered; the rest of the picture is the table, blurred once and kept.
+For each view, device and table are composed on the fine grid of `optics`: every link is an exact
+polygon there, nearer parts cover farther ones, and the result is blurred and averaged over pixels
+once. Only the device's surroundings are rendered; the rest of the picture is the table, whose
+blurred picture is cached.
 """
 
 import math
@@ -26,18 +27,18 @@ from fingerpost.simulate.table import Table
 
 Array = NDArray[np.float64]
 
-# Sub-exposures lie this far apart at most, in sigmas of the blur, so their sum shows no steps.
+# Greatest distance of sub-exposures, in sigmas of the blur, so that their sum shows no steps.
 EXPOSURE_STEP_SIGMAS = 0.7
 MOST_EXPOSURES = 64
-# The device is rendered in bands of so many rows at most: an arm fills little of its bounding box.
+# Rows per band in which the device is rendered: an arm fills only a small part of its bounding box.
 BAND_PX = 96
 # The lamp that casts the shadow, in the world, and its size: the penumbra of a point at height h is
-# about h·size/height wide, here four sigmas. What rises beyond `LAMP_HIGHEST_MM` casts none.
+# about h·size/height wide, here four sigmas. Parts above `LAMP_HIGHEST_MM` cast no shadow.
 LAMP_MM = (-900.0, 500.0, 1800.0)
 LAMP_SIZE_MM = 250.0
 LAMP_HIGHEST_MM = 1500.0
 PENUMBRA_SIGMAS = 4
-# Shadows are soft: they are laid out on cells of so many pixels.
+# Side of the cells on which shadows are computed, as they are soft.
 SHADE_CELL_PX = 4
 # A flank is lit if it faces this direction in the image: the lamp stands on the left.
 LIT_SIDE = (-1.0, 0.0)
@@ -73,17 +74,17 @@ class Occluder:
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """What the compositor needs of one link or occluder in one view."""
+    """One link or occluder in one view, for the compositor."""
 
     polygon_px: Array  # (V, 2) pictured outline
     level: float
     tint: tuple[float, ...]  # one for each channel
-    spine: "_Spine | None"  # None: flat, and nearer than anything
+    spine: "_Spine | None"  # None: flat, and nearest of all
 
 
 @dataclass(frozen=True, eq=False)
 class _Spine:
-    """The axis of a link in one view, for shading and for what hides what; each of both ends."""
+    """The axis of a link in one view, for shading and occlusion; values at both ends."""
 
     middle_px: Array  # (2, 2) pictured
     radius_px: Array  # (2,)
@@ -107,7 +108,7 @@ class _Window:
 
 
 class ViewRenderer:
-    """Renders one view; keeps its table."""
+    """Renders one view; caches the picture of its table."""
 
     def __init__(
         self,
@@ -133,7 +134,7 @@ class ViewRenderer:
             self._table = np.stack([self._optics.pixels(plane) for plane in self._fine_table])
 
     def exposures(self, opening: Sequence[Placed], closing: Sequence[Placed]) -> int:
-        """How many sub-exposures blur the motion between two placements without visible steps."""
+        """Return the number of sub-exposures that blur a motion without visible steps."""
         farthest = 0.0
         for before, after in zip(opening, closing, strict=True):
             centres = [
@@ -207,9 +208,9 @@ class ViewRenderer:
             for piece, patch in zip(pieces, patches, strict=True)
             if patch is not None
         ]
-        # Outlines that share a cell mostly coincide there or lie one within the other, as at the
-        # joints of a chain, so their common cover is the larger one. Where outlines cross this is
-        # short by a fraction of that one cell.
+        # Outlines that share a cell mostly coincide there or are nested, as at the joints of a
+        # chain, so their union is the larger one. Where outlines cross, this is too small by a
+        # fraction of that one cell.
         cover = np.zeros(ground.shape[1:], np.float32)
         for _, patch in shown:
             np.maximum(cover[patch.place], patch.coverage, out=cover[patch.place])
@@ -221,16 +222,16 @@ class ViewRenderer:
     def _light_of_nearest(
         self, shown: Sequence[tuple[_Piece, Patch]], cover: Picture, corner: NDArray[np.int64]
     ) -> Picture:
-        """Light (C, rows, columns) of the nearest piece in each cell; C × 1 × 1 if all alike."""
-        looks = {(piece.level, piece.tint) for piece, _ in shown}
-        if len(looks) == 1 and not self._shaded:
-            only_level, only_tint = looks.pop()
+        """Light (C, rows, columns) of the nearest piece in each cell; C × 1 × 1 if all equal."""
+        shades = {(piece.level, piece.tint) for piece, _ in shown}
+        if len(shades) == 1 and not self._shaded:
+            only_level, only_tint = shades.pop()
             return np.array(only_tint, np.float32)[:, None, None] * np.float32(only_level)
         light = np.zeros((self._channels, *cover.shape), np.float32)
         nearest = np.full(cover.shape, np.inf, np.float32)
         for piece, patch in shown:
             level, distance = self._surface(piece, patch, corner)
-            # A cell belongs to the nearest piece that has a real share of what is covered there.
+            # A cell belongs to the nearest piece that has a substantial share of its covered area.
             wins = (patch.coverage > 0) & (patch.coverage >= 0.5 * cover[patch.place])
             wins &= distance < nearest[patch.place]
             np.copyto(nearest[patch.place], distance, where=wins)
@@ -331,8 +332,8 @@ class ViewRenderer:
         for placed in bodies:
             tip = placed.spheres_mm[1, 0, :3]
             if placed.spheres_mm[..., 2].max() > LAMP_HIGHEST_MM:
-                continue  # it reaches up to the lamp
-            # One softness for the whole shadow, that of the fingertip, which matters most.
+                continue  # it extends above the lamp's limit
+            # One softness for the whole shadow, that at the fingertip, which is the most important.
             spread_mm = LAMP_SIZE_MM * max(tip[2], 0.0) / LAMP_MM[2] / PENUMBRA_SIGMAS
             distance_mm = float(np.linalg.norm(self.camera.centre_mm - tip))
             sigma = max(spread_mm * self.camera.f_px / distance_mm / SHADE_CELL_PX, 0.7)

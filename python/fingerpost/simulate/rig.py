@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SimulatedFrame:
-    """One picture per view and what is true of them.
+    """One picture per view, and their ground truth.
 
     `images` are uint8, or float32 where rendered with ``quantise=False``; (H, W) grey or (H, W, 3)
     BGR.
@@ -37,7 +37,7 @@ class SimulatedFrame:
 
 
 class SimulatedRig:
-    """Cameras that look at a table over which a device points.
+    """Cameras over a table, with a pointing device.
 
     Parameters
     ----------
@@ -46,9 +46,9 @@ class SimulatedRig:
     workspace
         Square and reference points on the working plane.
     device
-        What points, unless `render` is given another.
+        The pointing device, unless `render` is given another.
     background, lighting, sensor
-        How it looks; see each.
+        Appearance; see each class.
 
     Raises
     ------
@@ -94,17 +94,17 @@ class SimulatedRig:
         return self.workspace.points_mm
 
     def seen_by(self, cameras: Sequence[Camera]) -> "SimulatedRig":
-        """Return the same scene before other cameras: the table is not laid out anew.
+        """Return the same scene with other cameras; the table is not generated again.
 
         Parameters
         ----------
         cameras
-            For a camera that moves, where it is at one time; under the same name.
+            The cameras; for a moving camera, its pose at one time, under the same name.
 
         Raises
         ------
         InvalidInputError
-            As of the constructor.
+            As the constructor.
         """
         seen = copy.copy(self)
         seen.cameras = _cameras(cameras, self.workspace)
@@ -139,9 +139,9 @@ class SimulatedRig:
         time_s
             The rig's time [s]; each view adds its own skew.
         rng
-            Source of the noise, or its seed. Needed unless the sensor is free of noise.
+            Source of the noise, or its seed. Required unless the sensor has no noise.
         device
-            What points; default: the rig's device.
+            The pointing device; default: the rig's.
         others
             More devices in the picture, each with its own motion, such as a second hand.
         occluders
@@ -149,13 +149,13 @@ class SimulatedRig:
         quantise
             False returns float32 grey levels, noise included, neither rounded nor clipped.
         mirrored
-            True gives all noise the other sign: what it does in proportion to itself, it does the
-            other way round, and is not in the mean over both pictures.
+            Whether to invert the sign of all noise, so that its linear effects cancel in the mean
+            over both pictures.
 
         Returns
         -------
         SimulatedFrame
-            The pictures and their truth. The same arguments give the same bits.
+            The pictures and their truth, reproducible to the last bit.
         """
         time = checks.number("time_s", time_s, -1e6, 1e6)
         noise = -self.sensor.noise if mirrored else self.sensor.noise
@@ -181,7 +181,7 @@ class SimulatedRig:
     def truth(
         self, motion: Motion | None, *, time_s: float = 0.0, device: PointingDevice | None = None
     ) -> FrameTruth:
-        """Return what is true of a frame, without taking the pictures."""
+        """Return the ground truth of a frame, without rendering pictures."""
         time = checks.number("time_s", time_s, -1e6, 1e6)
         body = _body_of(device or self.device)
         pose = _pose_at(motion, time)
@@ -206,13 +206,13 @@ class SimulatedRig:
         Parameters
         ----------
         pose
-            Of the device; the discs stay where they are when it moves on.
+            Pose of the device; the discs do not move with it later.
         fraction
-            Of the contour's length in each view, 0 to 0.9.
+            Fraction of the contour's length in each view, 0 to 0.9.
         rng
-            Places, sizes and levels of the discs, or their seed.
+            Source of positions, sizes and levels of the discs, or its seed.
         device
-            What points; default: the rig's device.
+            The pointing device; default: the rig's.
         levels
             Range of the discs' grey levels.
 

@@ -10,7 +10,7 @@ from fingerpost.simulate.device import PointingDevice
 from fingerpost.simulate.pose import DevicePose
 from fingerpost.simulate.rig import SimulatedRig
 
-# A target gets so many poses before it is given up as one that cannot be pointed at in view.
+# Number of poses tried for a target before it is given up.
 DRAWS_PER_TARGET = 100
 MOST_TARGETS = 50
 
@@ -36,12 +36,12 @@ class PoseLimits:
 
 
 class PoseSampler:
-    """Draws poses that point at a random place in the workspace and that every camera sees well.
+    """Draws poses that point at a random place in the workspace and are well visible in all views.
 
     Targets are uniform over the workspace. For each, hover, slant, azimuth and roll are drawn,
-    uniform in their limits, until no camera sees the finger too much from the front or the back and
-    finger and thumb are inside every image: where the images end, what is drawn is no longer
-    uniform (high hands over the far edge of the workspace are missing first).
+    uniform in their limits, until no camera sees the finger nearly end-on and finger and thumb are
+    inside every image: near the borders of the images the distribution is not uniform (first, high
+    hands over the far edge of the workspace are missing).
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class PoseSampler:
         self.limits = limits or PoseLimits()
         outwards = np.mean([camera.centre_mm[:2] for camera in rig.cameras], axis=0)
         outwards = outwards - rig.workspace.side_mm / 2
-        # Straight above, every direction is towards the cameras.
+        # If the cameras are straight above, every direction is towards them.
         self._towards_deg = (
             float(np.degrees(np.arctan2(outwards[0], -outwards[1])))
             if np.linalg.norm(outwards) > 1e-6
@@ -71,7 +71,7 @@ class PoseSampler:
         Raises
         ------
         InvalidInputError
-            If none of many draws is acceptable.
+            None of many draws is acceptable.
         """
         generator = checks.generator("rng", rng)
         device = device or self.rig.device
@@ -95,7 +95,7 @@ class PoseSampler:
         )
 
     def accepts(self, pose: DevicePose, *, device: PointingDevice | None = None) -> bool:
-        """Whether every camera sees finger and thumb inside its image and the finger from aside."""
+        """Whether finger and thumb are inside every image, and the finger is not seen end-on."""
         body = (device or self.rig.device).body
         ends = [np.zeros(3), np.array(body.root_mm)]
         if body.thumb is not None:

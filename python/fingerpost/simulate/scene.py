@@ -1,4 +1,4 @@
-"""What the rig looks at and through: options of background, lighting and sensor."""
+"""Options of background, lighting and sensor."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -17,16 +17,16 @@ def tint(blue: float, green: float, red: float) -> Tint:
 
 @dataclass(frozen=True)
 class Background:
-    """The table: its brightness, and what lies on it. It keeps still and is the same every time.
+    """The table: its brightness, and the objects on it. It is static and reproducible.
 
-    Everything lies on the working plane and is seen through the camera and its lens, so the views
-    agree with each other. Grey levels count from 0 to 255.
+    All objects lie on the working plane and are seen through the camera and its lens, so the views
+    are consistent. Grey levels are from 0 to 255.
     """
 
-    level: float = 70.0  # grey level, 0…255; the lighting's contrast counts from here
+    level: float = 70.0  # grey level, 0…255; the lighting's contrast is relative to it
     texture: Literal["uniform", "wood"] = "uniform"
     texture_amplitude: float = 12.0  # grey levels, peak of the wood's grain, 0…100
-    clutter: float = 0.0  # ± grey levels of randomly strewn shapes with sharp edges, 0…127
+    clutter: float = 0.0  # ± grey levels of randomly placed shapes with sharp edges, 0…127
     sheet: float = 0.0  # grey levels by which a sheet differs, −255…255; 0: no sheet
     seed: int = 0  # of texture and clutter, ≥ 0
 
@@ -51,7 +51,7 @@ class Background:
 class LightChange:
     """A change of the light: its gain goes from 1 to `gain`, at once or over `duration_s`."""
 
-    start_s: float  # s, when it begins
+    start_s: float  # s, time of its start
     gain: float  # light after the change over light before, 0…4
     duration_s: float = 0.0  # s, 0…3600; 0 is a step
 
@@ -69,7 +69,7 @@ class LightChange:
 
 @dataclass(frozen=True)
 class Lighting:
-    """How the device stands out from the background, and how light falls on it."""
+    """Contrast of the device against the background, and its shading."""
 
     contrast: float = 80.0  # grey levels, device minus background, −255…255, at least 1 in size
     side_light: float = 0.0  # difference between the flanks, lit − dark, of the contrast, 0…1
@@ -89,20 +89,20 @@ class Lighting:
             raise InvalidInputError(f"change is {self.change!r}; it must be a LightChange or None")
 
 
-# Less blur or noise than this shows in no picture, and its square is far from where floats end.
+# Smaller blur or noise is invisible in any picture; its square is far above the least float.
 _LEAST = 1e-6
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """What turns light into grey levels: square pixels, Gaussian blur, white noise, 8 bit."""
+    """Conversion of light to grey levels: square pixels, Gaussian blur, white noise, 8 bit."""
 
     blur_px: float = 1.0  # px, sigma of the Gaussian point spread function, 0 or 1e-6…5
     noise: float = 2.0  # grey levels, sigma of white Gaussian noise, 0 or 1e-6…60
     exposure_s: float = 0.0  # s, how long the shutter is open, 0…0.2; frame times are mid-exposure
     channels: Literal["grey", "bgr"] = "grey"
-    # Cells per sigma of the blur on which edges are laid out, 1…6: 3 puts every edge right to
-    # 0.0003 px, 2 to 0.001 px in half the time, which is plenty to play live.
+    # Cells of the fine grid per sigma of the blur, 1…6: with 3 the error of an edge is 0.0003 px,
+    # with 2 it is 0.001 px in half the time, which is sufficient for live display.
     cells_per_sigma: int = 3
 
     def __post_init__(self) -> None:
@@ -114,7 +114,7 @@ class Sensor:
 
 
 def check_contrast(background: Background, lighting: Lighting) -> None:
-    """Refuse a contrast over a background that no grey level can show."""
+    """Refuse a contrast over a background beyond the range of grey levels."""
     _check_level("background level + lighting contrast", background.level + lighting.contrast)
 
 

@@ -1,7 +1,7 @@
-"""The table as the cameras see it: uniform or wooden, with a sheet of paper and clutter on it.
+"""The table in the pictures: uniform or wooden, with a sheet of paper and clutter on it.
 
-Everything is laid out on the working plane once, from the background's seed, and then painted into
-each view: shapes as exact polygons, the grain of wood by looking up the plane point of every cell.
+All objects are generated once on the working plane, from the background's seed, and then drawn into
+each view: shapes as exact polygons, the grain of wood by the plane point of every cell.
 """
 
 import math
@@ -22,16 +22,16 @@ Array = NDArray[np.float64]
 TABLE_TINT = tint(0.97, 1.0, 1.01)
 WOOD_TINT = tint(0.48, 0.72, 1.0)
 SHEET_TINT = tint(1.0, 0.97, 0.96)
-# How far a clutter shape's colour strays from grey.
+# Deviation of a clutter shape's colour from grey.
 CLUTTER_COLOUR = 0.2
 
-# The laid-out area ends here, in sides of the workspace from its middle.
+# Extent of the generated area, in sides of the workspace from its middle.
 FARTHEST_SIDES = 6.0
 # Clutter: mean distance between shapes and their number of vertices; sizes are in shape().
 CLUTTER_SPACING_SIDES = 0.11
 MOST_SHAPES = 2500
 VERTICES = 48
-# Clutter keeps this clear of the sheet's edges, for those are reference features.
+# Clearance of clutter from the sheet's edges, because those are reference features.
 SHEET_CLEARANCE_SIDES = 0.03
 GRAIN_CELLS = 1024
 GRAIN_ROWS = 32
@@ -47,7 +47,7 @@ class _Shape:
 
 
 class Table:
-    """What lies on the working plane, the same for every camera."""
+    """Objects on the working plane, the same for every camera."""
 
     def __init__(
         self, background: Background, workspace: Workspace, cameras: Sequence[Camera]
@@ -133,14 +133,14 @@ class Table:
         assert self._grain is not None
         plane_from_image = np.linalg.inv(camera.image_from_plane)
         columns, grain = np.arange(shape[1]) + 0.5, np.empty(shape, np.float32)
-        # So few rows at a time that they stay in the processor's caches.
+        # A few rows at a time, which fit into the processor's caches.
         for top in range(0, shape[0], GRAIN_ROWS):
             rows = np.arange(top, min(top + GRAIN_ROWS, shape[0])) + 0.5
             cells = np.stack(np.broadcast_arrays(columns, rows[:, None]), axis=-1)
             ideal = camera.ideal_everywhere(optics.pixels_of_cells(cells))
             X, Y, W = (a * ideal[..., 0] + b * ideal[..., 1] + c for a, b, c in plane_from_image)
-            # The third coordinate is positive below the horizon; above it, take the table's far
-            # end.
+            # The third coordinate is positive below the horizon; above it, the table's far end is
+            # used.
             ahead, size = np.maximum(W, 1e-9), self._high - self._low
             x_texels, y_texels = (
                 (((x / ahead - low) / far).clip(0, 1) * (GRAIN_CELLS - 1)).astype(np.float32)
@@ -167,7 +167,7 @@ def _seen_area(cameras: Sequence[Camera], workspace: Workspace) -> tuple[Array, 
         rays: Array = (
             ideal @ np.linalg.inv(camera.image_from_camera).T @ camera.camera_from_world[:, :3]
         )
-        # Rays that do not come down to the plane go on to the end of the laid-out area.
+        # Rays that do not meet the plane extend to the end of the generated area.
         down = np.minimum(rays[:, 2], -1e-6)
         points.append((camera.centre_mm - rays * (camera.centre_mm[2] / down)[:, None])[:, :2])
     seen: Array = np.concatenate(points).clip(middle - farthest, middle + farthest)
@@ -191,10 +191,10 @@ def _random_outline(rng: np.random.Generator) -> Array:
 
 
 def _densified(corners: Array) -> Array:
-    """Return a polygon of VERTICES vertices with the given corners, for a lens bends its sides."""
+    """Return a polygon of VERTICES vertices with the given corners, for lens distortion."""
     count = len(corners)
     position = np.arange(VERTICES) * count / VERTICES
-    # Some vertex lies on every corner.
+    # Every corner is a vertex.
     first = np.searchsorted(position, np.arange(count))
     position[first] = np.arange(count)
     side = position.astype(int)

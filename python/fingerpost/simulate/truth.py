@@ -1,4 +1,4 @@
-"""What is exactly true of a simulated frame."""
+"""Exact ground truth of a simulated frame."""
 
 import math
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ ThumbSide = Literal["left", "right", "none"]
 
 @dataclass(frozen=True)
 class StartError:
-    """By how much a start pose is off: exactly this much, in a random direction."""
+    """Error of a start pose: of exactly this size, in a random direction."""
 
     offset_px: float = 0.0  # px of the tip, 0…500
     angle_deg: float = 0.0  # deg, 0…180
@@ -34,7 +34,7 @@ class StartError:
 
 @dataclass(frozen=True)
 class StartPose:
-    """Where a template waits for the hand, as `[view.start]` of a rig file has it (pictured px)."""
+    """Start pose of a template, as in `[view.start]` of a rig file (pictured px)."""
 
     tip_px: tuple[float, float]
     angle_deg: float  # direction of pointing in the image: 0 is right, 90 down
@@ -54,17 +54,17 @@ class FingerTruth:
     axis_angle_rad: float  # ideal; direction of pointing, 0 is right, π/2 down
     apex_px: Array  # (2,) ideal; where the axis leaves the silhouette
     flanks_px: Array  # (2, 2, 2) ideal; left and right side seen along the finger, base to tip
-    length_px: float  # ideal; from where the finger begins to the apex
-    axis_angle_pictured_rad: float  # of the chord from where the finger's axis starts to its end
+    length_px: float  # ideal; from the start of the finger to the apex
+    axis_angle_pictured_rad: float  # of the chord from the start to the end of the finger's axis
     apex_pictured_px: Array  # (2,)
-    root_pictured_px: Array  # (2,) axis point where the finger begins
+    root_pictured_px: Array  # (2,) axis point at the start of the finger
     thumb: ThumbSide  # side of the thumb seen along the direction of pointing
-    in_view: bool  # all of the finger lies inside the image (it may be covered all the same)
+    in_view: bool  # whether the whole finger is inside the image (it may be occluded)
 
     def start(
         self, error: StartError | None = None, rng: np.random.Generator | int | None = None
     ) -> StartPose:
-        """Return a start pose for a tracker, off by `error`, whose direction comes from `rng`."""
+        """Return a start pose for a tracker with an error, in a direction drawn from `rng`."""
         if not math.isfinite(self.length_px):
             raise InvalidInputError(
                 "the finger is not in front of the camera; choose a time at which it is"
@@ -101,7 +101,7 @@ class FrameTruth:
 
     time_s: float
     pose: DevicePose | None
-    indicated_mm: Array | None  # (2,) where the axis meets the plane; None if it does not
+    indicated_mm: Array | None  # (2,) intersection of the axis with the plane, if there is one
     views: tuple[ViewTruth, ...]
 
 

@@ -1,6 +1,6 @@
-"""Has the vendor's library for xArm find a stand-in, in processes that a test starts.
+"""Redirects the vendor's library for xArm to a stand-in, in processes that a test starts.
 
-Python imports this module by itself, and first, wherever this folder is in its path.
+Python imports this module automatically at its start if this folder is on its path.
 """
 
 import os
@@ -11,7 +11,7 @@ from xarm_ports import lead
 
 
 class _LedLibrary:
-    """Finds `xarm.core.comm.socket_port` as Python does, and leads it to the stand-in's ports."""
+    """Finds `xarm.core.comm.socket_port` like Python, and redirects it to the stand-in's ports."""
 
     def find_spec(self, name, path=None, target=None):
         if name != "xarm.core.comm.socket_port":

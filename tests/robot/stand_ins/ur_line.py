@@ -1,4 +1,4 @@
-"""A part of `ur_rtde` that is in the test's process: a call is a line of JSON."""
+"""Proxy for a module of `ur_rtde` in the test's process; a call is a line of JSON."""
 
 import json
 import os
@@ -7,7 +7,7 @@ import threading
 
 
 class Part:
-    """What a test's process serves under a module's name, on the port of its environment."""
+    """A module's class, served by the test's process on a port from the environment."""
 
     def __init__(self, module, *arguments):
         address = ("127.0.0.1", int(os.environ["FINGERPOST_TEST_UR_PORT"]))

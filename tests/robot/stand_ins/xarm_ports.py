@@ -1,4 +1,4 @@
-"""Leads the vendor's library for xArm to ports where a stand-in may listen."""
+"""Redirects the vendor's library for xArm to the ports of a stand-in."""
 
 import socket
 from types import SimpleNamespace
@@ -7,7 +7,7 @@ CONTROL_PORT, REPORT_PORT = 502, 30002
 
 
 def lead(module, control_port, report_port):
-    """Have `xarm.core.comm.socket_port` connect to other ports than its own."""
+    """Make `xarm.core.comm.socket_port` connect to other ports."""
     ports = {CONTROL_PORT: control_port, REPORT_PORT: report_port}
 
     class Socket(socket.socket):

@@ -156,7 +156,7 @@ const COLOUR_NOISE: f32 = 1.5;
 /// Least ratio of brightness of a shadow without colours, where a darker one might be a hand.
 const GREY_SHADOW_LIGHT: f32 = 0.8;
 /// Factor on the foreground probability of a pixel that a shadow would explain: a hand in a dark
-/// glove looks like one.
+/// glove resembles one.
 const SHADOW_FOREGROUND: f32 = 0.6;
 /// Range over which the foreground probability rises from 0 to 1, in parts of
 /// [`BackgroundOptions::changed_sigmas`].

@@ -80,12 +80,12 @@ impl Counts {
 
 impl Class {
     fn add(&mut self, counts: &Counts, times: f64) {
-        let many = |count: u64| times * count as f64;
-        self.weight += many(counts.pixels);
-        self.sum += Vector3::from(counts.sum.map(many));
-        self.squares += Matrix3::from(counts.squares.map(|row| row.map(many)));
-        self.grey += many(counts.grey);
-        self.grey_squares += many(counts.grey_squares);
+        let weighted = |count: u64| times * count as f64;
+        self.weight += weighted(counts.pixels);
+        self.sum += Vector3::from(counts.sum.map(weighted));
+        self.squares += Matrix3::from(counts.squares.map(|row| row.map(weighted)));
+        self.grey += weighted(counts.grey);
+        self.grey_squares += weighted(counts.grey_squares);
     }
 
     fn fade(&mut self, keep: f64) {
@@ -243,9 +243,9 @@ impl Discriminant {
         let (hand, background) = (self.hand()?, &self.background);
         let scatter = 0.5 * (hand.covariance() + background.covariance())
             + Matrix3::identity() * LEAST_VARIANCE;
-        let apart = hand.mean() - background.mean();
-        let w = scatter.cholesky()?.solve(&apart);
-        Some((w, apart.dot(&w)))
+        let mean_difference = hand.mean() - background.mean();
+        let w = scatter.cholesky()?.solve(&mean_difference);
+        Some((w, mean_difference.dot(&w)))
     }
 
     /// Whether colours of this squared separation show the hand well enough, and better than grey.
@@ -255,11 +255,11 @@ impl Discriminant {
         if self.is_chromatic {
             return separation2 >= LEAST_CHROMATIC_SEPARATION.powi(2);
         }
-        let grey_apart = hand.grey / hand.weight - background.grey / background.weight;
+        let grey_difference = hand.grey / hand.weight - background.grey / background.weight;
         let grey_scatter =
             0.5 * (hand.grey_variance() + background.grey_variance()) + LEAST_VARIANCE;
         separation2 >= LEAST_SEPARATION.powi(2)
-            && separation2 > BETTER_THAN_GREY * grey_apart.powi(2) / grey_scatter
+            && separation2 > BETTER_THAN_GREY * grey_difference.powi(2) / grey_scatter
     }
 
     fn fisher(&self) -> Option<Mixture> {
@@ -341,15 +341,15 @@ impl DiscriminantImage {
         let (width, height) = (frame.image().width(), frame.image().height());
         self.pixels.resize(width * height, 0);
         let [left, right, top, bottom] = region;
-        let wanted = [
+        let requested = [
             left.floor().clamp(0.0, width as f64) as usize,
             (right.ceil() + 1.0).clamp(0.0, width as f64) as usize,
             top.floor().clamp(0.0, height as f64) as usize,
             (bottom.ceil() + 1.0).clamp(0.0, height as f64) as usize,
         ];
         let made = self.made.filter(|(by, _)| by == mixture).map(|(_, made)| made);
-        if !made.is_some_and(|m| covers(&m, &wanted)) {
-            let [x0, x1, y0, y1] = made.map_or(wanted, |m| hull(&m, &wanted));
+        if !made.is_some_and(|m| covers(&m, &requested)) {
+            let [x0, x1, y0, y1] = made.map_or(requested, |m| hull(&m, &requested));
             for y in y0..y1 {
                 let row = self.pixels.get_mut(y * width..).and_then(|r| r.get_mut(x0..x1));
                 if let (Some(row), Some(colours)) = (row, colour.row(y)) {
@@ -364,8 +364,8 @@ impl DiscriminantImage {
 
 /// Bounds of the neighbourhoods of some points \[px\]: columns and rows, from and to.
 pub(crate) fn region_about(points: impl Iterator<Item = (Point2<f64>, f64)>) -> [f64; 4] {
-    let nothing = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
-    points.fold(nothing, |[left, right, top, bottom], (p, reach)| {
+    let empty = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+    points.fold(empty, |[left, right, top, bottom], (p, reach)| {
         [
             left.min(p.x - reach),
             right.max(p.x + reach),
@@ -375,8 +375,11 @@ pub(crate) fn region_about(points: impl Iterator<Item = (Point2<f64>, f64)>) -> 
     })
 }
 
-fn covers(made: &[usize; 4], wanted: &[usize; 4]) -> bool {
-    made[0] <= wanted[0] && made[1] >= wanted[1] && made[2] <= wanted[2] && made[3] >= wanted[3]
+fn covers(made: &[usize; 4], requested: &[usize; 4]) -> bool {
+    made[0] <= requested[0]
+        && made[1] >= requested[1]
+        && made[2] <= requested[2]
+        && made[3] >= requested[3]
 }
 
 fn hull(a: &[usize; 4], b: &[usize; 4]) -> [usize; 4] {

@@ -98,16 +98,16 @@ impl Histogram {
         });
         before.copy_from_slice(&self.bins);
         self.bins.fill(0.0);
-        for (bin, &seen) in before.iter().enumerate().filter(|(_, seen)| **seen > 0.0) {
+        for (bin, &weight) in before.iter().enumerate().filter(|(_, weight)| **weight > 0.0) {
             // Along every axis, a share goes to the lower and to the upper one of two bins.
             for corner in 0..1_usize << axes {
-                let (mut place, mut share, mut stride, mut rest) = (0, seen, 1, bin);
+                let (mut place, mut share, mut stride, mut remaining) = (0, weight, 1, bin);
                 for axis in 0..axes {
-                    let (below, part) = moved[rest % side];
+                    let (below, part) = moved[remaining % side];
                     let upper = (corner >> axis) & 1;
                     place += (below + upper) * stride;
                     share *= if upper == 1 { part } else { 1.0 - part };
-                    (rest, stride) = (rest / side, stride * side);
+                    (remaining, stride) = (remaining / side, stride * side);
                 }
                 self.bins[place] += share;
             }
@@ -168,12 +168,12 @@ impl HistogramModel {
         }
         let Some(colours) = frame.colour() else { return };
         let mut counts = [0_u32; 2];
-        let once = times as f32;
+        let weight = times as f32;
         for &SidedPixel { x, y, is_hand } in pixels {
             let side = if is_hand { &mut self.hand } else { &mut self.background };
             let bin = colours.pixel(x as usize, y as usize).map(colour_bin);
-            if let Some(seen) = bin.and_then(|bin| side.bins.get_mut(bin)) {
-                *seen += once;
+            if let Some(bin_weight) = bin.and_then(|bin| side.bins.get_mut(bin)) {
+                *bin_weight += weight;
                 counts[usize::from(is_hand)] += 1;
             }
         }
@@ -190,8 +190,8 @@ impl HistogramModel {
             }
         }
         for (side, counts) in [&mut self.background, &mut self.hand].into_iter().zip(&counts) {
-            for (seen, &count) in side.bins.iter_mut().zip(counts) {
-                *seen += (times * f64::from(count)) as f32;
+            for (bin_weight, &count) in side.bins.iter_mut().zip(counts) {
+                *bin_weight += (times * f64::from(count)) as f32;
             }
             side.total += times * f64::from(counts.iter().sum::<u32>());
         }
@@ -207,8 +207,9 @@ impl HistogramModel {
             return;
         }
         let [hand, background] = &mut self.smooth;
-        for ((smooth, new), kept) in hand.iter_mut().zip(&self.hand.bins).zip(&self.anchor.bins) {
-            *smooth = new + kept;
+        for ((smooth, new), anchored) in hand.iter_mut().zip(&self.hand.bins).zip(&self.anchor.bins)
+        {
+            *smooth = new + anchored;
         }
         background.copy_from_slice(&self.background.bins);
         Isa::detect().run(Learning {
@@ -230,13 +231,13 @@ impl HistogramModel {
     #[must_use]
     pub fn separation(&self) -> f64 {
         let mean = |sides: &[&Histogram]| {
-            let seen = sides.iter().flat_map(|h| h.bins.iter().zip(&*self.log_ratios));
-            let sum: f64 = seen.map(|(n, v)| f64::from(*n) * f64::from(*v)).sum();
+            let weighted = sides.iter().flat_map(|h| h.bins.iter().zip(&*self.log_ratios));
+            let sum: f64 = weighted.map(|(n, v)| f64::from(*n) * f64::from(*v)).sum();
             let total: f64 = sides.iter().map(|h| h.total).sum();
             if total > 0.0 { sum / total } else { 0.0 }
         };
-        let apart = mean(&[&self.hand, &self.anchor]) - mean(&[&self.background]);
-        apart / f64::from(LOG_RATIO_UNIT)
+        let difference = mean(&[&self.hand, &self.anchor]) - mean(&[&self.background]);
+        difference / f64::from(LOG_RATIO_UNIT)
     }
 
     /// Log-likelihood ratio of the pixel nearest to (u, v): positive for the hand, negative for the
@@ -274,8 +275,8 @@ impl HistogramModel {
         mean(INSIDE_PX.map(|px| -px)) >= OWN_LOG_RATIO && mean(OUTSIDE_PX) <= -BEHIND_LOG_RATIO
     }
 
-    /// Whether most of the sampled pixels inside of an edge have levels or colours that the hand
-    /// has shown, with more weight than the uniform prior of a bin.
+    /// Whether most of the sampled pixels inside of an edge have levels or colours that were
+    /// observed on the hand with more weight than the uniform prior of a bin.
     pub(crate) fn has_shown(
         &self,
         frame: &Frame<'_>,
@@ -283,12 +284,13 @@ impl HistogramModel {
         normal: Vector2<f64>,
     ) -> bool {
         let [hand, _] = &self.smooth;
-        let even = PRIOR_WEIGHT * (self.hand.total + self.anchor.total) as f32 / hand.len() as f32;
-        let was_shown = |px: &&f64| {
+        let uniform =
+            PRIOR_WEIGHT * (self.hand.total + self.anchor.total) as f32 / hand.len() as f32;
+        let is_known = |px: &&f64| {
             let inside = edge - normal * **px;
-            self.bin(frame, inside.x, inside.y).is_some_and(|bin| hand[bin] > even)
+            self.bin(frame, inside.x, inside.y).is_some_and(|bin| hand[bin] > uniform)
         };
-        2 * INSIDE_PX.iter().filter(was_shown).count() > INSIDE_PX.len()
+        2 * INSIDE_PX.iter().filter(is_known).count() > INSIDE_PX.len()
     }
 
     /// The pixels of `frame` with their log-likelihood ratios.
@@ -365,11 +367,12 @@ impl Work for Learning<'_> {
             }
         }
         // The uniform prior limits the ratios of bins with few observations.
-        let even = PRIOR_WEIGHT / self.smooth[0].len() as f32;
+        let uniform = PRIOR_WEIGHT / self.smooth[0].len() as f32;
         let [hand, background] = &*self.smooth;
         let [per_hand, per_background] = self.parts;
         for ((stored, hand), background) in self.log_ratios.iter_mut().zip(hand).zip(background) {
-            let log_ratio = ln(hand * per_hand + even) - ln(background * per_background + even);
+            let log_ratio =
+                ln(hand * per_hand + uniform) - ln(background * per_background + uniform);
             let steps = LOG_RATIO_UNIT * log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO);
             // Rounded half away from zero, so that the ratio is symmetric in both classes.
             *stored = (steps + 0.5_f32.copysign(steps)) as i32 as i16;
@@ -414,9 +417,9 @@ mod tests {
     use std::array::from_fn;
 
     #[test]
-    fn what_the_hand_has_shown_is_judged_inside_of_the_edge() -> Result<()> {
-        // The hand from 150 to 165 before a dark table; 158 lies between levels seen, 250 is an
-        // occluder's.
+    fn levels_of_the_hand_are_tested_inside_of_the_edge() -> Result<()> {
+        // The hand from 150 to 165 before a dark table; 158 lies between observed levels, 250
+        // belongs to an occluder.
         let learned = [&[150_u8, 151, 152, 153, 161, 162, 163, 164][..], &[40; 8]].concat();
         let frame = Frame::gray(GrayView::new(&learned, learned.len(), 1, learned.len())?);
         let mut levels = HistogramModel::new(false);
@@ -448,10 +451,10 @@ mod tests {
     }
 
     #[test]
-    fn every_instruction_set_learns_the_same_votes() {
+    fn every_instruction_set_learns_the_same_log_ratios() {
         for (coloured, bins) in [(false, GRAY_BINS), (true, COLOUR_BINS.pow(3))] {
             let log_ratios = |isa: Isa| {
-                // Mostly empty, as histograms are; no two bins alike.
+                // Mostly empty, as histograms are.
                 let bin =
                     |i: usize, side: usize| ((i * (7 + 4 * side) % 31) as f32 - 25.0).max(0.0);
                 let mut smooth = from_fn(|side| (0..bins).map(|i| bin(i, side)).collect());

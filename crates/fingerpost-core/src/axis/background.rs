@@ -212,7 +212,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_smaller_background_has_the_means_of_squares() {
+    fn a_reduced_background_has_the_means_of_squares_of_pixels() {
         let (width, height) = (11, 9);
         let mut mean: Vec<f32> = (0..99).map(|i: i32| (7 * i % 31) as f32).collect();
         let sigma: Vec<f32> = (0..99).map(|i: i32| 0.1 * (i % 5) as f32).collect();

@@ -211,9 +211,10 @@ impl Bisector {
             let lateral = sketch.origin - at.origin;
             (at.normal().dot(&lateral), at.along.perp(&sketch.along))
         });
-        let (wider_px, opened) = (known.half_width_px - at.half_width_px, known.taper - at.taper);
+        let (width_change_px, taper_change) =
+            (known.half_width_px - at.half_width_px, known.taper - at.taper);
         let prior = Prior {
-            mean: SVector::from([lateral_px, turned, wider_px, opened]),
+            mean: SVector::from([lateral_px, turned, width_change_px, taper_change]),
             information: SMatrix::from_diagonal(&SVector::from(sigma.map(|s| s.powi(-2)))),
         };
         let fit = self.fitter.solve(&equations, Some(&prior));
@@ -244,8 +245,8 @@ impl Bisector {
             sum += w;
             psi_squared += (w * r).powi(2);
             // ψ(r) = r (1 − t²)², w = (1 − t²)²: ψ′ = (1 − t²)(1 − 5 t²).
-            let left = w.sqrt();
-            psi_slope += left * (5.0 * left - 4.0);
+            let root_weight = w.sqrt();
+            psi_slope += root_weight * (5.0 * root_weight - 4.0);
             rejected += f64::from(u8::from(w <= 0.0));
             information.ger(w, &row, &row, 1.0);
         }

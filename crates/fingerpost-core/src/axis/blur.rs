@@ -76,7 +76,7 @@ impl BlurTable {
     #[inline(always)]
     pub fn moments(self, z: &PixelLanes) -> Moments {
         let none = [0.0; LANES];
-        let (mut index, mut at_knot, mut beyond) = ([0_u32; LANES], none, none);
+        let (mut index, mut at_knot, mut from_knot) = ([0_u32; LANES], none, none);
         for i in 0..LANES {
             // NaN becomes the first knot.
             let inside = if z[i] > -REACH { z[i] } else { -REACH };
@@ -84,7 +84,7 @@ impl BlurTable {
             let rounded = (inside + REACH) * KNOTS + ROUNDING;
             index[i] = rounded.to_bits();
             at_knot[i] = (rounded - ROUNDING) * (1.0 / KNOTS) - REACH;
-            beyond[i] = inside - at_knot[i];
+            from_knot[i] = inside - at_knot[i];
         }
         let mut m = Moments { step: none, step_slope: none, root: none, root_slope: none };
         for i in 0..LANES {
@@ -92,7 +92,7 @@ impl BlurTable {
             [m.step[i], m.step_slope[i], m.root[i], m.root_slope[i]] = knot;
         }
         for i in 0..LANES {
-            let (z, t) = (at_knot[i], beyond[i]);
+            let (z, t) = (at_knot[i], from_knot[i]);
             let (density, curve) = (m.step_slope[i], z * z - 1.0);
             m.step[i] += density * t * (1.0 + t * (curve * t * (1.0 / 6.0) - 0.5 * z));
             m.step_slope[i] = density * (1.0 + t * (0.5 * curve * t - z));
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn depths_that_are_no_numbers_are_outside() {
+    fn a_nan_depth_counts_as_outside() {
         let found = BlurTable::new().moments(&[f32::NAN; LANES]);
         assert!(found.step.iter().chain(&found.root).all(|m| m.abs() < 1e-8));
     }

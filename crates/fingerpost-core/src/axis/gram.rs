@@ -21,7 +21,7 @@ pub(super) struct Weighing {
 
 /// Features and residuals of some pixels, each times the root of its pixel's weight.
 pub(super) type Weighed = [PixelLanes; COLUMNS];
-/// GramEquations of the features, in their upper triangle; the right side is a column of its own.
+/// Normal equations of the features, in the upper triangle; the right side is a column of its own.
 pub(super) type GramEquations = [[Doubles; COLUMNS]; COLUMNS];
 
 /// Sums over the pixels of blocks.

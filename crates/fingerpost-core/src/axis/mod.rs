@@ -73,7 +73,7 @@ pub use options::{BisectorOptions, PhotometricOptions, RefineOptions};
 pub use round::RoundFinger;
 pub use straightness::Bend;
 #[cfg(test)]
-pub(crate) use texture::tests::Painted;
+pub(crate) use texture::tests::RenderedFinger;
 pub(crate) use texture::{Area, TexturePatch, TexturePose};
 
 use crate::appearance::histogram::HistogramModel;
@@ -166,9 +166,9 @@ pub struct Finger {
 impl Finger {
     /// The hull of both stretches along the axis \[px\]; empty if both are.
     pub(crate) fn stretch(&self) -> Stretch {
-        let seen = self.flanks.iter().filter(|s| s.length_px() > 0.0);
-        let nothing = Stretch { from_px: f64::INFINITY, to_px: f64::NEG_INFINITY };
-        seen.fold(nothing, |all, s| Stretch {
+        let non_empty = self.flanks.iter().filter(|s| s.length_px() > 0.0);
+        let empty = Stretch { from_px: f64::INFINITY, to_px: f64::NEG_INFINITY };
+        non_empty.fold(empty, |all, s| Stretch {
             from_px: all.from_px.min(s.from_px),
             to_px: all.to_px.max(s.to_px),
         })
@@ -356,7 +356,7 @@ impl Refiner {
             self.bisector.fit(frame, cue, polarity, noise_grey, &sketch, &self.visible)?;
         let start = bisector.map_or(sketch, |b| b.sketch);
         let photometric = self.fit_pixels(image, background, noise_grey, &start);
-        Ok(self.believed(noise_grey, &start, bisector, photometric))
+        Ok(self.select_line(noise_grey, &start, bisector, photometric))
     }
 
     /// The bend of the finger near the estimate `finger`; `None` when its flanks do not determine
@@ -396,10 +396,12 @@ impl Refiner {
         if known_source == Some(Source::Photometric) {
             return known;
         }
-        let alone = self.photometric.fit(image, None, noise_grey, start, &self.visible);
-        let alone = alone.map(|fit| (fit, noise_grey));
-        let is_believed = alone.as_ref().and_then(source_of_fit) == Some(Source::Photometric);
-        known.filter(|_| known_source.is_some() && !is_believed).or(alone)
+        let without_background =
+            self.photometric.fit(image, None, noise_grey, start, &self.visible);
+        let without_background = without_background.map(|fit| (fit, noise_grey));
+        let is_accepted =
+            without_background.as_ref().and_then(source_of_fit) == Some(Source::Photometric);
+        known.filter(|_| known_source.is_some() && !is_accepted).or(without_background)
     }
 
     /// The photometric line with a known background, and the noise of the image it was fitted to.
@@ -416,7 +418,7 @@ impl Refiner {
     }
 
     /// Selects the line to return.
-    fn believed(
+    fn select_line(
         &self,
         noise_grey: f64,
         start: &Sketch,

@@ -44,8 +44,8 @@ impl NoiseEstimator {
         Self { cells: Vec::with_capacity(256) }
     }
 
-    /// Standard deviation of the noise near the finger \[grey levels\]; `None` if too little of the
-    /// image is there and not clipped.
+    /// Standard deviation of the noise near the finger \[grey levels\]; `None` if too few cells
+    /// there are free of clipped pixels.
     pub fn estimate(&mut self, image: &GrayView<'_>, sketch: &Sketch) -> Option<f64> {
         self.collect(image, sketch);
         let cells = &mut self.cells;
@@ -69,15 +69,18 @@ impl NoiseEstimator {
 
     /// Collects the variances of the cells in the bounding box of the finger.
     fn collect(&mut self, image: &GrayView<'_>, sketch: &Sketch) {
-        let (long, wide) = (sketch.half_length_px, sketch.half_width_px + MARGIN_PX);
+        let (half_length_px, half_reach_px) =
+            (sketch.half_length_px, sketch.half_width_px + MARGIN_PX);
         let (u, v) = (sketch.along.x.abs(), sketch.along.y.abs());
         // A cell's differences reach one px beyond it.
         let span = |middle: f64, half: f64, size: usize| {
             let last = size as f64 - 1.0;
             ((middle - half).clamp(1.0, last) as usize, (middle + half).clamp(1.0, last) as usize)
         };
-        let (left, right) = span(sketch.origin.x, u * long + v * wide, image.width().max(2));
-        let (top, bottom) = span(sketch.origin.y, v * long + u * wide, image.height().max(2));
+        let (left, right) =
+            span(sketch.origin.x, u * half_length_px + v * half_reach_px, image.width().max(2));
+        let (top, bottom) =
+            span(sketch.origin.y, v * half_length_px + u * half_reach_px, image.height().max(2));
         self.cells.clear();
         for y in (top..(bottom + 1).saturating_sub(CELL)).step_by(CELL) {
             for x in (left..(right + 1).saturating_sub(CELL)).step_by(CELL) {
@@ -98,8 +101,8 @@ fn cell(image: &GrayView<'_>, x: usize, y: usize) -> Option<f64> {
     for v in y..y + CELL {
         let below = second(row(v + 1)?);
         for k in 0..CELL {
-            let twice = i32::from(above[k] - 2 * here[k] + below[k]);
-            sum += twice * twice;
+            let double_difference = i32::from(above[k] - 2 * here[k] + below[k]);
+            sum += double_difference * double_difference;
         }
         // Without a shortcut, so that the loop is vectorised.
         for p in &row(v)?[1..=CELL] {

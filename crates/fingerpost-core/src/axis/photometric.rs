@@ -17,7 +17,7 @@
 //!   it runs along the flank within the blur, it shifts the measured edge and leaves no residual.
 //!   The shift is about (change of level / contrast) × (width of the blurred edge); its square is
 //!   added to the variance of the block's edge. Deviations of the finger's own level are treated
-//!   alike: a nail does not end at the flank.
+//!   in the same way, because a nail does not end at the flank.
 //!
 //! Where the edges of neighbouring blocks deviate together, as at a joint, the blocks are not
 //! independent, and their common deviation enters the variance several times.
@@ -233,37 +233,39 @@ impl Photometric {
         let Self { isa, flanks, sorted, .. } = self;
         let mut levels = [[0.0; 2]; 2];
         for ([inside, outside], PhotometricFlank { strip, .. }) in levels.iter_mut().zip(flanks) {
-            let clear_inside = |away: f32, grey: f32, _: f32| (away < -CLEAR_INSIDE_PX, grey);
+            let clear_inside =
+                |outside_px: f32, grey: f32, _: f32| (outside_px < -CLEAR_INSIDE_PX, grey);
             isa.run(Surveying { strip, sketch, measure: clear_inside, mean: true, means: sorted });
             *inside = median(sorted)?;
-            let clear_outside =
-                |away: f32, grey: f32, behind: f32| (away > CLEAR_OUTSIDE_PX, grey - behind);
+            let clear_outside = |outside_px: f32, grey: f32, behind: f32| {
+                (outside_px > CLEAR_OUTSIDE_PX, grey - behind)
+            };
             isa.run(Surveying { strip, sketch, measure: clear_outside, mean: true, means: sorted });
             *outside = median(sorted)?;
         }
-        let blur_px = self.shown_blur_px(sketch, &levels);
+        let blur_px = self.edge_blur_px(sketch, &levels);
         Some(Unknowns::on(sketch, levels, blur_px))
     }
 
     /// Blur at the sketch's edge, for given levels a and b of either flank, by the median over its
     /// blocks \[px\]. For a blurred step, n = (I − b) / (a − b) satisfies ∫ n (1 − n) dy = s / √π.
     /// Pixels outside the range of the two levels contribute zero.
-    fn shown_blur_px(&mut self, sketch: &Sketch, levels: &[[f64; 2]; 2]) -> f64 {
+    fn edge_blur_px(&mut self, sketch: &Sketch, levels: &[[f64; 2]; 2]) -> f64 {
         let Self { isa, flanks, sorted, .. } = self;
         let mut sum = 0.0;
         for (PhotometricFlank { strip, .. }, levels) in flanks.iter().zip(levels) {
             let [a, b] = levels.map(|level| level as f32);
-            let across_step = |away: f32, grey: f32, behind: f32| {
+            let across_step = |outside_px: f32, grey: f32, behind: f32| {
                 let b = behind + b;
                 let parts = ((grey - b) * (a - grey)).max(0.0);
                 // Keeps the quotient finite without contrast.
-                (away.abs() < NEAR_EDGE_PX, parts / ((a - b) * (a - b)).max(1.0))
+                (outside_px.abs() < NEAR_EDGE_PX, parts / ((a - b) * (a - b)).max(1.0))
             };
             isa.run(Surveying { strip, sketch, measure: across_step, mean: false, means: sorted });
             sum += 0.5 * median(sorted).unwrap_or(0.0);
         }
-        let (shown, expected) = (PI.sqrt() * sum / self.options.block_px, self.options.blur_px);
-        shown.clamp((expected - BLUR_SIGMA_PX).max(LEAST_BLUR_PX), expected + BLUR_SIGMA_PX)
+        let (measured, expected) = (PI.sqrt() * sum / self.options.block_px, self.options.blur_px);
+        measured.clamp((expected - BLUR_SIGMA_PX).max(LEAST_BLUR_PX), expected + BLUR_SIGMA_PX)
     }
 
     /// Linearises the model at `x` and eliminates the deviations of every block.

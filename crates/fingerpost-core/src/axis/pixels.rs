@@ -229,7 +229,7 @@ impl Strip {
         if let Some(known) = background {
             self.gather_background(image, known, sketch, flank);
             self.background_light(noise_grey as f32);
-            self.uncover(known, sketch.normal() * SIDES[flank]);
+            self.attach_background(known, sketch.normal() * SIDES[flank]);
         }
         self.group();
         self.fill();
@@ -247,8 +247,8 @@ impl Strip {
         self.background_pixels.clear();
         let mut p = from_px;
         while p <= to_px {
-            for away in BACKGROUND_DISTANCE_PX {
-                let q = SIDES[flank] * (sketch.half_width_at(p) + f64::from(away));
+            for outside_px in BACKGROUND_DISTANCE_PX {
+                let q = SIDES[flank] * (sketch.half_width_at(p) + f64::from(outside_px));
                 let place = sketch.place(p, q);
                 if !image.contains(place.x, place.y, 0.0) {
                     continue;
@@ -292,8 +292,8 @@ impl Strip {
                     < AGREES_SIGMAS * sigma + AGREES_PART * w.level
             };
             let (all, agreeing) = (nearby().count(), nearby().filter(agrees).count());
-            let is_there = agreeing as f64 >= LEAST_AGREEING * all as f64;
-            block.background_light = if is_there { background_light } else { 0.0 };
+            let is_present = agreeing as f64 >= LEAST_AGREEING * all as f64;
+            block.background_light = if is_present { background_light } else { 0.0 };
         }
     }
 
@@ -364,7 +364,7 @@ impl Strip {
     }
 
     /// Adds the known background to the pixels, and drops those without one.
-    fn uncover(&mut self, known: &KnownBackground<'_>, outward: Vector2<f64>) {
+    fn attach_background(&mut self, known: &KnownBackground<'_>, outward: Vector2<f64>) {
         let Self { blocks, gathered, .. } = self;
         gathered.retain_mut(|s| {
             let background_light = blocks[s.block].background_light;
@@ -391,11 +391,11 @@ impl Strip {
             block.pixels += 1;
             block.behind += f64::from(s.behind[0]);
         }
-        let possible = blocks.len();
-        let left = blocks.iter().filter(|b| b.pixels > 0).count();
-        *usable = left as f64 / possible.max(1) as f64;
-        let count = left.div_ceil(LANES);
-        let first = count * LANES - left;
+        let block_count = blocks.len();
+        let used = blocks.iter().filter(|b| b.pixels > 0).count();
+        *usable = used as f64 / block_count.max(1) as f64;
+        let count = used.div_ceil(LANES);
+        let first = count * LANES - used;
         let with_pixels = blocks.iter_mut().filter(|b| b.pixels > 0);
         for (slot, block) in (first..).zip(with_pixels) {
             block.slot = slot;

@@ -140,7 +140,7 @@ impl Profile {
         y
     }
 
-    /// ProfilePrediction for pixels clear of the round end.
+    /// The prediction for pixels clear of the round end.
     #[inline(always)]
     pub fn straight(
         &self,
@@ -183,7 +183,7 @@ impl Profile {
         ProfilePrediction { grey, columns }
     }
 
-    /// ProfilePrediction for pixels near the round end.
+    /// The prediction for pixels near the round end.
     #[inline(always)]
     pub fn round(
         &self,
@@ -213,20 +213,20 @@ impl Profile {
             let step = self.inside[i] + self.inside_change * p - outside;
             // The ramp depends on the distance from the flank, whereas the blur acts along the
             // outline's normal.
-            let lean = s * d.by_flank[i];
-            let rise = lean * density - from_flank[i] * share;
+            let blur_across = s * d.by_flank[i];
+            let rise = blur_across * density - from_flank[i] * share;
             let behind = slope * s + 0.5 * curvature * s * s * z[i];
             let by_z = limb * m.root_slope[i]
                 + density
                     * (step - slope * s * z[i] + 0.5 * curvature * s * s * (1.0 - z[i] * z[i])
-                        - ramp * (from_flank[i] + lean * z[i]));
-            let (by_y, by_lean) = (-by_z * per_blur, ramp * s * density);
+                        - ramp * (from_flank[i] + blur_across * z[i]));
+            let (by_y, by_blur_across) = (-by_z * per_blur, ramp * s * density);
             grey[i] = outside + step * share + density * behind + ramp * rise + limb * m.root[i];
-            by_edge[i] = ramp * share - by_y * d.by_flank[i] - by_lean * d.by_flank_twice[i];
+            by_edge[i] = ramp * share - by_y * d.by_flank[i] - by_blur_across * d.by_flank_twice[i];
             by_blur[i] = 0.5 * limb * m.root[i] * per_blur
                 + by_y * (d.by_blur[i] + z[i])
                 + density * (ramp * d.by_flank[i] + slope + curvature * s * z[i]);
-            by_end[i] = -(by_y * d.by_u[i] + by_lean * d.by_flank_and_u[i]);
+            by_end[i] = -(by_y * d.by_u[i] + by_blur_across * d.by_flank_and_u[i]);
             by_outside[i] = 1.0 - share;
             by_ramp[i] = rise * per_width;
             by_limb[i] = m.root[i] * root;
@@ -251,10 +251,10 @@ impl RoundEnd {
         for i in 0..LANES {
             depth[i] = (p[i] - self.middle) / s;
         }
-        let begun = table.moments(&depth);
+        let end_moments = table.moments(&depth);
         for i in 0..LANES {
             let u = p[i] - self.middle;
-            let (step, density) = (begun.step[i], begun.step_slope[i]);
+            let (step, density) = (end_moments.step[i], end_moments.step_slope[i]);
             // E[(u + s Z)₊²], halved, and its derivative by u.
             let smooth = 0.5 * ((u * u + s * s) * step + u * s * density);
             let smooth_by_u = u * step + s * density;
@@ -313,7 +313,12 @@ mod tests {
         }
     }
 
-    fn nudge(profile: &Profile, mut end: RoundEnd, feature: usize, by: f32) -> (Profile, RoundEnd) {
+    fn perturbed(
+        profile: &Profile,
+        mut end: RoundEnd,
+        feature: usize,
+        by: f32,
+    ) -> (Profile, RoundEnd) {
         let mut profile = *profile;
         match feature {
             EDGE => profile.edge = profile.edge.map(|e| e + by),
@@ -335,16 +340,16 @@ mod tests {
             let analytic = predict(&profile, end, &chunk).columns;
             for (feature, analytic) in analytic.iter().enumerate().filter(|f| f.0 != RIGHT) {
                 let at = |steps: f32| {
-                    let (profile, end) = nudge(&profile, end, feature, steps * STEP);
+                    let (profile, end) = perturbed(&profile, end, feature, steps * STEP);
                     predict(&profile, end, &chunk).grey
                 };
                 let [far_below, below, above, far_above] = [-2.0, -1.0, 1.0, 2.0].map(at);
                 for i in 0..LANES {
                     let near = 8.0 * (above[i] - below[i]);
                     let difference = (near - (far_above[i] - far_below[i])) / (12.0 * STEP);
-                    let off = (analytic[i] - difference).abs();
+                    let error = (analytic[i] - difference).abs();
                     assert!(
-                        off < TOLERANCE * (1.0 + analytic[i].abs()),
+                        error < TOLERANCE * (1.0 + analytic[i].abs()),
                         "feature {feature}, pixel {i} at p = {p}: {} and {difference}",
                         analytic[i]
                     );
@@ -354,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn derivatives_along_the_straight_flank() {
+    fn derivatives_on_the_straight_flank_match_differences() {
         for p in [-30.0, 0.0, 12.0] {
             check(p, |profile, _, chunk| {
                 profile.straight(&profile.shading(), BlurTable::new(), chunk)
@@ -363,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn derivatives_about_the_round_end() {
+    fn derivatives_near_the_round_end_match_differences() {
         // Not across its centre, where the second derivative of the outline is discontinuous.
         for p in [18.0, 21.5, 25.2, 27.5] {
             check(p, |profile, end, chunk| {
@@ -373,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn far_from_the_round_end_the_flank_is_straight() {
+    fn far_from_the_round_end_both_models_agree() {
         let (profile, end) = (profile(), RoundEnd { middle: 25.0, radius: 7.8 });
         let chunk = chunk(-10.0, 8.0, 3.0);
         let shading = profile.shading();

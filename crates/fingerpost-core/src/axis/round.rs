@@ -163,9 +163,9 @@ impl RoundFinger {
     fn best_start(observed: &ObservedProfiles, known: f64) -> Option<RoundVector> {
         let mut starts = STARTS.map(|start| observed.first(start.map(|part| part * known)));
         starts.sort_by(|one, other| one.0.total_cmp(&other.0));
-        let led_to =
+        let optimised =
             starts.iter().take(TRIED).map(|s| observed.minimise(s.1, ITERATIONS, Axes::Free));
-        led_to.min_by(|one, other| one.0.total_cmp(&other.0)).map(|(_, x)| x)
+        optimised.min_by(|one, other| one.0.total_cmp(&other.0)).map(|(_, x)| x)
     }
 }
 
@@ -209,14 +209,14 @@ impl ObservedProfiles {
     /// The cost of a body of given offset and half-width under the best of the initial lights, and
     /// its unknowns.
     fn first(&self, [offset, half_width]: [f64; 2]) -> (f64, RoundVector) {
-        let lit = FIRST_LIGHTS_RAD.map(|light| {
+        let trials = FIRST_LIGHTS_RAD.map(|light| {
             let mut x = RoundVector::from_element(light);
             (x[OFFSET], x[SLOPE]) = (offset, 0.0);
             (x[HALF_WIDTH], x[GROWTH]) = (half_width, TAPER[0]);
             x[LOG_BLUR] = 0.0;
             (self.cost(&x), x)
         });
-        lit.iter().fold(lit[0], |best, &one| if one.0 < best.0 { one } else { best })
+        trials.iter().fold(trials[0], |best, &one| if one.0 < best.0 { one } else { best })
     }
 
     /// Minimises the cost from x; returns the least cost found and its unknowns.
@@ -256,13 +256,13 @@ impl ObservedProfiles {
 
     /// The cost: robust misfit to the profiles, plus the prior.
     fn cost(&self, x: &RoundVector) -> f64 {
-        let differs = |(j, (p, profile)): (usize, &(f64, ShadingProfile))| {
+        let misfit = |(j, (p, profile)): (usize, &(f64, ShadingProfile))| {
             let residuals = profile.residuals(&section(x, j, *p));
             residuals.iter().map(|r| (1.0 + r * r).sqrt() - 1.0).sum::<f64>()
         };
-        let observed: f64 = self.profiles.iter().enumerate().map(differs).sum();
-        let known: f64 = expectations(x).map(|e| 0.5 * (e.differs / e.sigma).powi(2)).sum();
-        observed + self.redundancy * known
+        let misfits: f64 = self.profiles.iter().enumerate().map(misfit).sum();
+        let prior: f64 = expectations(x).map(|e| 0.5 * (e.differs / e.sigma).powi(2)).sum();
+        misfits + self.redundancy * prior
     }
 
     /// Normal equations of the cost: the matrix and the gradient.
@@ -271,7 +271,7 @@ impl ObservedProfiles {
         for (j, &(p, ref profile)) in self.profiles.iter().enumerate() {
             let (squares, slopes) = normal_equations(profile, &section(x, j, p));
             // The unknown, the number of the section that it changes, and the derivative.
-            let moves = [
+            let derivatives = [
                 (OFFSET, 0, 1.0),
                 (SLOPE, 0, p),
                 (HALF_WIDTH, 1, 1.0),
@@ -279,21 +279,21 @@ impl ObservedProfiles {
                 (LIGHT + j, 2, 1.0),
                 (LOG_BLUR, 3, 1.0),
             ];
-            for (k, a, by) in moves {
+            for (k, a, by) in derivatives {
                 gradient[k] += by * slopes[a];
-                for (l, b, other_by) in moves {
+                for (l, b, other_by) in derivatives {
                     hessian[(k, l)] += by * other_by * squares[a][b];
                 }
             }
         }
         for PriorTerm { of, less, differs, sigma } in expectations(x) {
-            let sure = self.redundancy / (sigma * sigma);
+            let information = self.redundancy / (sigma * sigma);
             for (k, sign) in [(Some(of), 1.0), (less, -1.0)] {
                 let Some(k) = k else { continue };
-                gradient[k] += sign * sure * differs;
+                gradient[k] += sign * information * differs;
                 for (l, other_sign) in [(Some(of), 1.0), (less, -1.0)] {
                     let Some(l) = l else { continue };
-                    hessian[(k, l)] += sign * other_sign * sure;
+                    hessian[(k, l)] += sign * other_sign * information;
                 }
             }
         }
@@ -305,7 +305,7 @@ impl ObservedProfiles {
 /// half-width, light and blur.
 fn normal_equations(profile: &ShadingProfile, at: &Section) -> ([[f64; 4]; 4], [f64; 4]) {
     let Section { middle, half_width, light_rad, log_blur } = *at;
-    let moved: [Residuals; 4] = [
+    let perturbed: [Residuals; 4] = [
         Section { middle: middle + DIFFERENCE, ..*at },
         Section { half_width: half_width + DIFFERENCE, ..*at },
         Section { light_rad: light_rad + DIFFERENCE, ..*at },
@@ -315,7 +315,7 @@ fn normal_equations(profile: &ShadingProfile, at: &Section) -> ([[f64; 4]; 4], [
     let (mut squares, mut slopes) = ([[0.0; 4]; 4], [0.0; 4]);
     for (i, &residual) in profile.residuals(at).iter().enumerate() {
         let weight = 1.0 / (1.0 + residual * residual).sqrt();
-        let changes = moved.each_ref().map(|m| (m[i] - residual) / DIFFERENCE);
+        let changes = perturbed.each_ref().map(|m| (m[i] - residual) / DIFFERENCE);
         for (a, change) in changes.iter().enumerate() {
             slopes[a] += weight * change * residual;
             for (b, other) in changes.iter().enumerate() {
@@ -347,9 +347,10 @@ struct PriorTerm {
 fn expectations(x: &RoundVector) -> impl Iterator<Item = PriorTerm> {
     let taper = (GROWTH, x[GROWTH] - TAPER[0], TAPER[1]);
     let blur = (LOG_BLUR, x[LOG_BLUR], LOG_BLUR_SIGMA);
-    let alone = [taper, blur];
-    let alone = alone.map(|(of, differs, sigma)| PriorTerm { of, less: None, differs, sigma });
-    alone.into_iter().chain((LIGHT + 1..UNKNOWNS).map(|k| PriorTerm {
+    let independent = [taper, blur];
+    let independent =
+        independent.map(|(of, differs, sigma)| PriorTerm { of, less: None, differs, sigma });
+    independent.into_iter().chain((LIGHT + 1..UNKNOWNS).map(|k| PriorTerm {
         of: k,
         less: Some(k - 1),
         differs: x[k] - x[k - 1],

@@ -75,8 +75,8 @@ impl ShadingProfile {
         for ((q, _), mean) in places().zip(&mut levels) {
             for row in 0..ROWS {
                 let p = along + ROW_STEP * (row as f64 - 0.5 * (ROWS - 1) as f64);
-                let seen = shown(frame, axis.anchor + e * p + n * q)?;
-                for (mean, level) in mean.iter_mut().zip(seen) {
+                let sample = levels_at(frame, axis.anchor + e * p + n * q)?;
+                for (mean, level) in mean.iter_mut().zip(sample) {
                     *mean += level / ROWS as f64;
                 }
             }
@@ -94,8 +94,9 @@ impl ShadingProfile {
         let mut normal = [[0.0; LEVELS]; LEVELS];
         let mut right = [[0.0; LEVELS]; CHANNELS];
         for (((q, weight), part), levels) in places().zip(&mut parts).zip(&self.levels) {
-            let off = q - section.middle;
-            *part = share_of_levels(off, section.half_width, light, blur).map(|b| b * weight);
+            let lateral = q - section.middle;
+            *part =
+                level_coefficients(lateral, section.half_width, light, blur).map(|b| b * weight);
             for (row, by) in normal.iter_mut().zip(*part) {
                 for (sum, share) in row.iter_mut().zip(part.iter()) {
                     *sum += by * share;
@@ -117,14 +118,16 @@ impl ShadingProfile {
         let Some(factor) = Cholesky::new(normal) else { return residuals };
         let best = factor.solve(&right);
         for k in 0..self.channels {
-            let own = &mut residuals[k * (PLACES + 2)..(k + 1) * (PLACES + 2)];
+            let channel_residuals = &mut residuals[k * (PLACES + 2)..(k + 1) * (PLACES + 2)];
             for ((residual, (_, weight)), (part, levels)) in
-                own.iter_mut().zip(places()).zip(parts.iter().zip(&self.levels))
+                channel_residuals.iter_mut().zip(places()).zip(parts.iter().zip(&self.levels))
             {
                 let estimated: f64 = part.iter().zip(&best.column(k)).map(|(p, l)| p * l).sum();
                 *residual = (estimated - weight * levels[k]) / SCALE_GREY;
             }
-            for (residual, level) in own[PLACES..].iter_mut().zip([EVERYWHERE, ONE_SIDE]) {
+            for (residual, level) in
+                channel_residuals[PLACES..].iter_mut().zip([EVERYWHERE, ONE_SIDE])
+            {
                 *residual = best[(level, k)].min(0.0) / DARKER_GREY;
             }
         }
@@ -141,20 +144,25 @@ fn places() -> impl Iterator<Item = (f64, f64)> {
 }
 
 /// The levels of a frame at a point, of all channels if it has colours; `None` outside the image.
-fn shown(frame: &Frame<'_>, at: Point2<f64>) -> Option<[f64; CHANNELS]> {
+fn levels_at(frame: &Frame<'_>, at: Point2<f64>) -> Option<[f64; CHANNELS]> {
     match frame.colour() {
         Some(colour) => colour.sample_f64(at.x, at.y),
         None => Some([frame.image().sample_f64(at.x, at.y)?, 0.0, 0.0]),
     }
 }
 
-/// Coefficients of the levels at the distance `off` from the middle of a body, for the sine and
-/// cosine of the light's angle.
-fn share_of_levels(off: f64, half_width: f64, (sin, cos): (f64, f64), blur: f64) -> [f64; LEVELS] {
-    let left = 1.0 - step((off + half_width) / blur);
-    let right = 1.0 - step((half_width - off) / blur);
+/// Coefficients of the levels at the distance `lateral` from the middle of a body, for the sine
+/// and cosine of the light's angle.
+fn level_coefficients(
+    lateral: f64,
+    half_width: f64,
+    (sin, cos): (f64, f64),
+    blur: f64,
+) -> [f64; LEVELS] {
+    let left = 1.0 - step((lateral + half_width) / blur);
+    let right = 1.0 - step((half_width - lateral) / blur);
     let inside = (1.0 - left) * (1.0 - right);
-    let y = (off / half_width).clamp(-1.0, 1.0);
+    let y = (lateral / half_width).clamp(-1.0, 1.0);
     let z = (1.0 - y * y).sqrt();
     let facing = y * sin + z * cos;
     let lit = 0.5 * (facing + (facing * facing + TERMINATOR * TERMINATOR).sqrt());
@@ -165,8 +173,8 @@ fn share_of_levels(off: f64, half_width: f64, (sin, cos): (f64, f64), blur: f64)
         inside * z,
         left,
         right,
-        left * (off + half_width) / SLOPE,
-        right * (off - half_width) / SLOPE,
+        left * (lateral + half_width) / SLOPE,
+        right * (lateral - half_width) / SLOPE,
     ]
 }
 

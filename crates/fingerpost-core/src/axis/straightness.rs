@@ -125,8 +125,8 @@ impl Straightness {
         if let Some(knuckle) = self.half(&search, &Finger { flanks: knuckle, ..*finger })? {
             let along = bend(&knuckle, &tip);
             let ahead = self.ahead(&search, finger, &tip)?.map(|ahead| bend(&tip, &ahead));
-            let is_more = |ahead: &Bend| ahead.angle_rad.abs() > along.angle_rad.abs();
-            return Ok(Some(ahead.filter(is_more).unwrap_or(along)));
+            let is_larger = |ahead: &Bend| ahead.angle_rad.abs() > along.angle_rad.abs();
+            return Ok(Some(ahead.filter(is_larger).unwrap_or(along)));
         }
         let from_px = -tip.sketch.half_length_px;
         for joint in JOINTS {
@@ -165,8 +165,8 @@ impl Straightness {
             return Ok(Some(found));
         }
         // Visibility is measured at the fitted half: a bent half lies away from the searched place.
-        let seen = Sketch { belief: half.belief, ..found.sketch };
-        self.visible.measure(search.frame, search.cue.appearance(), &seen);
+        let fitted = Sketch { belief: half.belief, ..found.sketch };
+        self.visible.measure(search.frame, search.cue.appearance(), &fitted);
         Ok((self.visible.least_part() >= OWN_PART).then_some(found))
     }
 

@@ -146,12 +146,13 @@ impl TexturePose {
     /// the pose's own. The offset moves by its regression on the angle.
     pub fn turned_to(&self, angle_rad: f64, variance: f64) -> Self {
         let Axis { anchor, tip, angle_rad: own_rad } = self.axis;
-        let own = self.covariance[(1, 1)];
-        let along = self.covariance.column(1) / own;
+        let own_variance = self.covariance[(1, 1)];
+        let regression = self.covariance.column(1) / own_variance;
         let turn_rad = (angle_rad - own_rad).sin().asin();
-        let anchor_moved = anchor + self.axis.normal() * (along.x * turn_rad);
+        let anchor_moved = anchor + self.axis.normal() * (regression.x * turn_rad);
         let axis = Axis::of_finger(anchor_moved, own_rad + turn_rad, (tip - anchor).norm());
-        let covariance = self.covariance - along * along.transpose() * (own - variance);
+        let covariance =
+            self.covariance - regression * regression.transpose() * (own_variance - variance);
         Self { axis, covariance, ..*self }
     }
 }
@@ -277,10 +278,13 @@ impl TexturePatch {
     fn sample(&mut self, image: &GrayView<'_>, at: &Axis) {
         let (e, n) = (at.direction(), at.normal());
         for row in 0..self.rows {
-            let beside = |row: usize| self.used.get(row).copied().filter(|[from, to]| to > from);
+            let used_columns =
+                |row: usize| self.used.get(row).copied().filter(|[from, to]| to > from);
             let runs = [row.wrapping_sub(1), row, row + 1];
-            let run =
-                runs.into_iter().filter_map(beside).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+            let run = runs
+                .into_iter()
+                .filter_map(used_columns)
+                .reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
             let Some([from, to]) = run else { continue };
             let middle = at.tip + e * self.s(row);
             for column in from.saturating_sub(1)..(to + 1).min(self.columns) {
@@ -300,14 +304,14 @@ impl TexturePatch {
         for iteration in 1..=ITERATIONS {
             self.sample(image, &axis);
             let scale = self.scale(light)?;
-            let determined = self.equations(light, scale);
-            if determined.agreeing < LEAST_SEEN * self.cells as f64 {
+            let equations = self.equations(light, scale);
+            if equations.agreeing < LEAST_SEEN * self.cells as f64 {
                 return None;
             }
             let prior = prior();
-            let mut right = determined.right / correlation;
+            let mut right = equations.right / correlation;
             right[0] -= along_px * prior[(0, 0)];
-            let inverse = (determined.information / correlation + prior).try_inverse()?;
+            let inverse = (equations.information / correlation + prior).try_inverse()?;
             let step: PoseVector = inverse * right;
             along_px += step[0];
             let (e, n) = (axis.direction(), axis.normal());
@@ -317,11 +321,11 @@ impl TexturePatch {
             let moved_px = step[1].abs() + self.middle_px().abs() * step[2].abs();
             if moved_px < SETTLED_PX || (iteration == ITERATIONS && moved_px < LOOSE_PX) {
                 let [gain, offset] = light;
-                let is_it = scale <= MOST_SCALE && (1.0 / MOST_GAIN..=MOST_GAIN).contains(&gain);
-                let scatter = determined.scatter / (correlation * correlation) + prior;
+                let is_valid = scale <= MOST_SCALE && (1.0 / MOST_GAIN..=MOST_GAIN).contains(&gain);
+                let scatter = equations.scatter / (correlation * correlation) + prior;
                 let covariance = inverse * scatter * inverse;
                 let covariance = covariance.fixed_view::<2, 2>(1, 1).into_owned();
-                return is_it.then_some(TexturePose { axis, covariance, gain, offset });
+                return is_valid.then_some(TexturePose { axis, covariance, gain, offset });
             }
         }
         None
@@ -361,24 +365,24 @@ impl TexturePatch {
                 let (now, level) = (self.now[i], self.mean[i]);
                 let residual = now - gain * level - offset;
                 let weight = 1.0 / self.variance[i];
-                let left = 1.0 - residual * residual * weight * cutoff;
+                let root_weight = 1.0 - residual * residual * weight * cutoff;
                 // Rows run from the tip back.
                 let slope =
                     gain * per_along * (self.mean[i - self.columns] - self.mean[i + self.columns]);
                 let across = gain * per_across * (self.mean[i + 1] - self.mean[i - 1]);
                 let d = self.d(column) as f32;
-                let determined = [-slope, -across, slope * d - across * from_middle, level, 1.0];
-                if !(left > 0.0 && (slope + across).is_finite()) {
+                let jacobian = [-slope, -across, slope * d - across * from_middle, level, 1.0];
+                if !(root_weight > 0.0 && (slope + across).is_finite()) {
                     continue;
                 }
                 agreeing += 1.0;
-                weights += left * left;
-                slopes += left * (5.0 * left - 4.0);
-                let weight = weight * left * left / scale;
+                weights += root_weight * root_weight;
+                slopes += root_weight * (5.0 * root_weight - 4.0);
+                let weight = weight * root_weight * root_weight / scale;
                 for k in 0..UNKNOWNS {
-                    let weighted = weight * determined[k];
+                    let weighted = weight * jacobian[k];
                     for j in k..UNKNOWNS {
-                        sums[k][j] += weighted * determined[j];
+                        sums[k][j] += weighted * jacobian[j];
                     }
                     sums[k][UNKNOWNS] += weighted * residual;
                     blocks[column / block_columns][k] += weighted * residual;
@@ -417,7 +421,7 @@ impl TexturePatch {
     }
 }
 
-/// PoseInformation matrix of the prior of the pose.
+/// Information matrix of the prior of the pose.
 fn prior() -> PoseInformation {
     let sigmas = PRIOR_SIGMAS.map(|sigma: f64| sigma.powi(-2));
     PoseInformation::from_diagonal(&PoseVector::from_fn(|k, _| {

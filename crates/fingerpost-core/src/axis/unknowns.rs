@@ -36,14 +36,14 @@ pub(super) const UNKNOWNS: usize = OWN + 2 * OWN_COUNT;
 pub(super) type UnknownsVector = SVector<f64, UNKNOWNS>;
 pub(super) type UnknownsInformation = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// UnknownsPrior standard deviations about the sketch: offset and half-width \[px\], slope and taper, blur
+/// Prior standard deviations about the sketch: offset and half-width \[px\], slope and taper, blur
 /// \[px\] and centre of the round end \[px\].
 const LINE_SIGMA_PX: f64 = 3.0;
 const WIDTH_SIGMA_PX: f64 = 2.0;
 const SLOPE_SIGMA: f64 = 0.1;
 pub(super) const BLUR_SIGMA_PX: f64 = 1.0;
 const END_SIGMA_PX: f64 = 1.0;
-/// UnknownsPrior standard deviation of the skew of the round end, in radii. A sphere off the optical axis
+/// Prior standard deviation of the skew of the round end, in radii. A sphere off the optical axis
 /// projects to an ellipse, longer by 1 / cos of the angle from the optical axis, in the direction
 /// away from it. Unless that direction is along or across the finger, the round end begins at
 /// different abscissae on the two flanks.

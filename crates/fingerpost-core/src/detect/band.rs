@@ -11,8 +11,8 @@ use nalgebra::Vector3;
 use std::f64::consts::PI;
 use std::f64::consts::TAU;
 
-/// Half-width of the sampled inside, as a part of the band's; its whole extent, in parts of that;
-/// and the distance from the axis at which one half begins, likewise.
+/// Half-width of the sampled core, as a part of the band's; the extent of the whole core, and the
+/// distance from the axis at which one half begins, in parts of the core's half-width.
 pub(super) const ACROSS: f64 = 0.55;
 pub(super) const WHOLE: (f64, f64) = (-1.0, 1.0);
 pub(super) const HALF_FROM: f64 = 0.2;
@@ -72,7 +72,8 @@ pub(super) struct RefinedCandidate {
 }
 
 impl RefinedCandidate {
-    /// The candidate, with its score raised by the part `bonus` of what it lacks to 1, for a thumb.
+    /// The candidate, with its score raised by the part `bonus` of its difference from 1, for a
+    /// thumb.
     pub(super) fn candidate(&self, thumb: Thumb, bonus: f64) -> Candidate {
         Candidate {
             tip_px: self.band.tip,
@@ -88,9 +89,9 @@ impl RefinedCandidate {
 
     pub(super) fn is_same(&self, other: &Self) -> bool {
         let (a, b) = (&self.band, &other.band);
-        let apart = (a.angle_rad - b.angle_rad + PI).rem_euclid(TAU) - PI;
+        let turn_rad = (a.angle_rad - b.angle_rad + PI).rem_euclid(TAU) - PI;
         (a.tip - b.tip).norm() < SAME_PLACE * a.half_width_px.max(b.half_width_px)
-            && apart.abs() < SAME_ANGLE_RAD
+            && turn_rad.abs() < SAME_ANGLE_RAD
     }
 
     /// Side on which another band could be this finger's thumb, and that band's score.
@@ -293,15 +294,15 @@ impl Inside {
         band_frame: &BandFrame<'_>,
         places: impl Iterator<Item = (f64, f64)>,
     ) -> Option<f64> {
-        let (mut all, mut seen, mut unlike) = (0.0, 0.0, 0.0);
+        let (mut all, mut inside_count, mut unlike) = (0.0, 0.0, 0.0);
         for (along, across) in places {
             all += 1.0;
             if let Some(colour) = band_frame.pixel(along, across) {
-                seen += 1.0;
+                inside_count += 1.0;
                 unlike += f64::from(u8::from(self.is_unlike(&colour)));
             }
         }
-        (seen > 0.5 * all).then(|| unlike / seen)
+        (inside_count > 0.5 * all).then(|| unlike / inside_count)
     }
 }
 
@@ -429,22 +430,22 @@ pub(super) fn hand_places(w: f64) -> impl Iterator<Item = (f64, f64)> {
 /// Length over which both flanks have contrast, limited to the range of a finger's length; a middle
 /// length if the colours have no contrast even beside the tip.
 pub(super) fn visible_length(band_frame: &BandFrame<'_>, inside: &Inside, w: f64) -> f64 {
-    let differs = |along: f64, side: f64| {
+    let has_contrast = |along: f64, side: f64| {
         (0..3).any(|j| {
             let across = side * w * (1.3 + 0.2 * f64::from(j));
             band_frame.pixel(along, across).is_some_and(|c| inside.is_unlike(&c))
         })
     };
-    let (mut seen, mut back, mut misses) = (0.0, 1.0, 0);
+    let (mut visible, mut back, mut misses) = (0.0, 1.0, 0);
     while back <= LENGTHS.1 && misses < 2 {
-        if differs(-back * w, -1.0) && differs(-back * w, 1.0) {
-            (seen, misses) = (back, 0);
+        if has_contrast(-back * w, -1.0) && has_contrast(-back * w, 1.0) {
+            (visible, misses) = (back, 0);
         } else {
             misses += 1;
         }
         back += 0.5;
     }
-    w * if seen < SEEN_LENGTH { UNSEEN_LENGTH } else { seen.clamp(LENGTHS.0, LENGTHS.1) }
+    w * if visible < SEEN_LENGTH { UNSEEN_LENGTH } else { visible.clamp(LENGTHS.0, LENGTHS.1) }
 }
 
 /// Mean foreground probability along the axis of a band.

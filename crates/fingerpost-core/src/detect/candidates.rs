@@ -265,8 +265,8 @@ impl HandFinder {
     fn refine(&mut self, frame: &Frame<'_>) {
         self.refined.clear();
         for band in &self.bands {
-            if let Some(looked) = refine_candidate(frame, &self.foreground, band) {
-                self.refined.push(looked);
+            if let Some(candidate) = refine_candidate(frame, &self.foreground, band) {
+                self.refined.push(candidate);
             }
         }
         self.refined.sort_by(|a, b| b.score.total_cmp(&a.score));
@@ -277,25 +277,25 @@ impl HandFinder {
         self.found.clear();
         let mut kept = 0;
         for k in 0..self.refined.len() {
-            let looked = self.refined[k];
-            if self.refined[..kept].iter().all(|other| !other.is_same(&looked)) {
-                self.refined[kept] = looked;
+            let candidate = self.refined[k];
+            if self.refined[..kept].iter().all(|other| !other.is_same(&candidate)) {
+                self.refined[kept] = candidate;
                 kept += 1;
             }
         }
         let distinct = &self.refined[..kept];
-        for looked in distinct {
+        for candidate in distinct {
             let thumb = distinct
                 .iter()
-                .filter_map(|other| looked.thumb(other))
+                .filter_map(|other| candidate.thumb(other))
                 .max_by(|a, b| a.1.total_cmp(&b.1));
             let (side, bonus) =
                 thumb.map_or((Thumb::None, 0.0), |(side, score)| (side, THUMB_WEIGHT * score));
-            self.found.push(looked.candidate(side, bonus));
+            self.found.push(candidate.candidate(side, bonus));
         }
         // An object that was there before may be the hand, but a new one is more likely.
-        let knows = !self.foreground.cells.is_empty();
-        let least = if knows { BACKGROUND_WEIGHT } else { 1.0 };
+        let is_background_known = !self.foreground.cells.is_empty();
+        let least = if is_background_known { BACKGROUND_WEIGHT } else { 1.0 };
         let weight = |c: &Candidate| c.score * (least + (1.0 - least) * c.foreground);
         self.found.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
         self.found.truncate(self.options.candidates);
@@ -306,5 +306,5 @@ impl HandFinder {
 const FOREGROUND_WEIGHT: f64 = 0.5;
 /// Weight of a candidate in the background relative to one in the foreground.
 const BACKGROUND_WEIGHT: f64 = 0.5;
-/// Part of what a score lacks to 1 that a perfect thumb adds.
+/// Part of a score's difference from 1 that a perfect thumb adds.
 const THUMB_WEIGHT: f64 = 0.3;

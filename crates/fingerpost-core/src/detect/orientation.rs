@@ -40,7 +40,7 @@ pub(super) struct Level {
     stride: usize,
     /// The octave's column and the weight of the next one, in 1/256, of each column.
     columns: Vec<(usize, u16)>,
-    /// One row in between of two of the octave's.
+    /// A row interpolated between two of the octave's.
     blended: Vec<u16>,
     gradients: Gradients,
     image: Vec<u8>,
@@ -218,7 +218,7 @@ impl Level {
                 let (y0, t) = fixed(y, octave.height);
                 let row = &plane[y0 * octave.width..];
                 let pairs = row[..octave.width].iter().zip(&row[below..][..octave.width]);
-                // At most 255 · 256: in between of two rows, in 1/256 grey level.
+                // Interpolated between two rows, in 1/256 grey level: at most 255 · 256.
                 self.blended.clear();
                 self.blended
                     .extend(pairs.map(|(&a, &b)| u16::from(a) * (256 - t) + u16::from(b) * t));
@@ -309,7 +309,7 @@ impl Level {
             let responses = plane(bin);
             &responses[from(responses, shift(offset))]
         });
-        // So few cells at a time that their sums stay in the processor's first cache.
+        // Few enough cells at a time for their sums to stay in the processor's first cache.
         let mut sums = [0_u8; 1024];
         let best = self.best[inner.clone()].chunks_mut(sums.len());
         let angles = self.angle[inner].chunks_mut(sums.len());

@@ -87,8 +87,7 @@ impl<'a> ColourView<'a> {
         let mut channels = [0.0; 3];
         for (below, part_v) in [(0, 1.0 - fraction_v), (1, fraction_v)] {
             for (right, part_u) in [(0, 1.0 - fraction_u), (1, fraction_u)] {
-                // The last column and the last row have none beyond, and the weight of that is
-                // zero.
+                // The last column and the last row have no neighbour beyond; its weight is zero.
                 let at = ((x + right).min(self.width - 1), (y + below).min(self.height - 1));
                 for (channel, level) in channels.iter_mut().zip(self.pixel(at.0, at.1)?) {
                     *channel += part_u * part_v * f64::from(level);

@@ -230,7 +230,7 @@ impl Span {
     }
 
     /// Whether the kernel fits at offset zero and at three offsets or more.
-    fn holds_answers(self, reach: i32) -> bool {
+    fn fits_kernel(self, reach: i32) -> bool {
         let (first, last) = (self.from + reach, self.to - reach);
         last - first >= 2 && first <= 0 && last >= 0
     }
@@ -295,11 +295,11 @@ impl Pass<'_> {
         let mut last = None;
         for (i, line) in lines.iter().enumerate() {
             // Most lines are as long as the one before.
-            let asked = Some((line.half_length_px.to_bits(), line.polarity));
-            if last != asked || open.count == N {
-                last = asked;
-                let wanted = whole_half_length(line.half_length_px)? + reach;
-                let key = (Span { from: -wanted, to: wanted }, line.polarity);
+            let requested = Some((line.half_length_px.to_bits(), line.polarity));
+            if last != requested || open.count == N {
+                last = requested;
+                let half_span = whole_half_length(line.half_length_px)? + reach;
+                let key = (Span { from: -half_span, to: half_span }, line.polarity);
                 if open.key != key {
                     std::mem::swap(&mut open, &mut other);
                 }
@@ -326,9 +326,9 @@ impl Pass<'_> {
         let reach = self.kernel.reach() as i32;
         for (i, line) in lines.iter().enumerate() {
             if matches!(measurements[i], Err(Miss::OutOfImage)) {
-                let wanted = whole_half_length(line.half_length_px)? + reach;
-                if let Some(span) = visible_span(self.image, &line.sample, wanted)
-                    .filter(|visible| visible.holds_answers(reach))
+                let half_span = whole_half_length(line.half_length_px)? + reach;
+                if let Some(span) = visible_span(self.image, &line.sample, half_span)
+                    .filter(|visible| visible.fits_kernel(reach))
                 {
                     let mut batch = Batch::of((span, line.polarity));
                     batch.push(i, &line.sample);
@@ -381,7 +381,7 @@ impl Pass<'_> {
         polarity: Polarity,
     ) -> EdgeMeasurement {
         let (kernel, reach) = (self.kernel, self.kernel.reach());
-        let Peak { at, answers } = lanes.peak(j, &kernel.looking_for(polarity))?;
+        let Peak { at, answers } = lanes.peak(j, &kernel.for_polarity(polarity))?;
         let contrast_grey = kernel.contrast(answers[1]);
         Ok(Edge {
             offset_px: f64::from(span.from + (reach + at) as i32) + parabola_peak(answers),
@@ -434,7 +434,7 @@ impl<const N: usize> Work for Search<'_, N> {
             lanes.sum_log_ratios(log_ratio_image);
             return;
         }
-        let kernel = kernel.looking_for(*polarity);
+        let kernel = kernel.for_polarity(*polarity);
         lanes.find_edges(
             image,
             &kernel,
@@ -465,7 +465,7 @@ impl Kernel {
     }
 
     /// The kernel in the form that the lanes take.
-    fn looking_for(&self, polarity: Polarity) -> lanes::LaneKernel<'_> {
+    fn for_polarity(&self, polarity: Polarity) -> lanes::LaneKernel<'_> {
         lanes::LaneKernel { weights: &self.weights, least: self.least, polarity }
     }
 

@@ -243,15 +243,15 @@ impl<'a> Scan<'a> {
     ) -> Option<EdgePoint> {
         // Coordinates along the scan increase with the normal or against it.
         let steepness = if self.by_columns { self.along.x } else { -self.along.y };
-        let sense = steepness.signum();
+        let sign = steepness.signum();
         let mean = stretch.mean();
         let steps = self.reach_px.floor() as i32;
         let top = (-steps..=steps)
             .zip(stretch.responses(mean, steps))
-            .map(|(x, response)| (f64::from(x), polarity.strength(sense * response)))
+            .map(|(x, response)| (f64::from(x), polarity.strength(sign * response)))
             .max_by(|a, b| a.1.total_cmp(&b.1))?;
         let (x, contrast, sigma) = summit(&stretch.pixels, mean, top.0)?;
-        let contrast = sense * contrast;
+        let contrast = sign * contrast;
         if polarity.strength(contrast) < least_contrast || x.abs() > self.reach_px + 0.5 {
             return None;
         }
@@ -402,8 +402,8 @@ fn reweigh(entries: &mut [Entry], offset: f64, slope: f64, agrees_px: f64) -> Op
     }
     near.sort_unstable_by(f64::total_cmp);
     // Two degrees of freedom are spent on the line.
-    let spent = near.len() as f64 / (near.len() as f64 - 2.0);
-    let scale = (1.4826 * near[near.len() / 2] * spent.sqrt()).max(LEAST_SCALE);
+    let dof_factor = near.len() as f64 / (near.len() as f64 - 2.0);
+    let scale = (1.4826 * near[near.len() / 2] * dof_factor.sqrt()).max(LEAST_SCALE);
     for e in entries.iter_mut() {
         let z = residual(e) / (e.sigma * scale * BIWEIGHT);
         e.weight = if z.abs() < 1.0 { (1.0 - z * z).powi(2) } else { 0.0 };
@@ -430,7 +430,8 @@ fn report(
     let scatter = scatter.map(|(slope, _)| (slope - by_z).powi(2)).sum::<f64>() / count;
     // Corrections for few points: Huber's factor for weights, and the variance of Student's
     // distribution.
-    let few = (1.0 + 2.0 / count * scatter / by_z.powi(2)).powi(2) * (count - 2.0) / (count - 4.0);
+    let small_sample_factor =
+        (1.0 + 2.0 / count * scatter / by_z.powi(2)).powi(2) * (count - 2.0) / (count - 4.0);
     let (mut n, mut sx) = (0.0, 0.0);
     for e in entries.iter().filter(|e| e.weight > 0.0) {
         n += e.sigma.powi(-2);
@@ -440,8 +441,9 @@ fn report(
     let spread: f64 =
         entries.iter().filter(|e| e.weight > 0.0).map(|e| ((e.x - middle) / e.sigma).powi(2)).sum();
     let squares = psi.iter().map(|psi| psi * psi).sum::<f64>() / (count - 2.0);
-    let variance =
-        scale * scale * squares / by_z.max(0.1).powi(2) * few * redundancy(&psi, &inliers);
+    let variance = scale * scale * squares / by_z.max(0.1).powi(2)
+        * small_sample_factor
+        * redundancy(&psi, &inliers);
     let angle = slope.atan();
     let cos = angle.cos();
     let residual_px = |k: usize| z[k] * entries[k].sigma * scale;

@@ -114,7 +114,7 @@ mod tests {
     use super::*;
 
     #[test]
-    pub fn responses_at_whole_numbers_are_those_of_the_kernel_there() {
+    pub fn responses_at_whole_numbers_are_those_of_the_kernel() {
         let mut stretch = Stretch::default();
         for (row, start) in [-14.3, -13.0, -12.9].into_iter().enumerate() {
             stretch.starts.push(stretch.pixels.len());
@@ -123,8 +123,8 @@ mod tests {
         }
         let mean = stretch.mean();
         for (x, value) in (-7..=7).zip(stretch.responses(mean, 7)) {
-            let right = response(&stretch.pixels, mean, f64::from(x));
-            assert!((value - right).abs() < 1e-9 * (1.0 + right.abs()));
+            let expected = response(&stretch.pixels, mean, f64::from(x));
+            assert!((value - expected).abs() < 1e-9 * (1.0 + expected.abs()));
         }
     }
 }

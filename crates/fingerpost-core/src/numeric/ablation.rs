@@ -1,7 +1,7 @@
-//! Mechanisms that can be switched off, to measure what each is worth (`benches/ablate.py`).
+//! Mechanisms that can be switched off, to measure the contribution of each (`benches/ablate.py`).
 //!
-//! The feature `ablation` is never shipped. Without it every answer is the constant `false`, and the
-//! compiler removes the question.
+//! The feature `ablation` is never shipped. Without it `is_off` is the constant `false`, and the
+//! compiler removes the test.
 
 /// A mechanism of the tracker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

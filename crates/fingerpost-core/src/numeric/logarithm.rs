@@ -21,7 +21,7 @@ mod tests {
     use super::ln;
 
     #[test]
-    fn it_is_the_logarithm() {
+    fn the_result_is_the_natural_logarithm() {
         let mut x = 1e-30_f32;
         while x < 1e30 {
             let exact = f64::from(x).ln();

@@ -297,8 +297,8 @@ impl<const N: usize> Iterator for WideCells<'_, N> {
     }
 }
 
-/// Operations that a compiler expresses in many instructions of SSE2, in few. Wider sets have
-/// better ones, which it selects.
+/// Operations for which a compiler needs many instructions of SSE2, written in few. For wider sets
+/// it selects better ones itself.
 #[cfg(target_arch = "x86_64")]
 mod sse2 {
     use super::Layout;
@@ -391,18 +391,18 @@ fn furthest<const N: usize>(
 ) -> u64 {
     let Ok(steps) = i32::try_from(samples) else { return u64::MAX };
     let longest = i32::MAX / steps.max(1);
-    let mut wrong = [0; N];
+    let mut invalid = [0; N];
     let mut far = [[0; N]; 2];
     for axis in 0..2 {
         let (start, step) = (&start[axis], &step[axis]);
         let end: [i32; N] = each(|j| start[j].wrapping_add(step[j].wrapping_mul(steps - 1)));
         // Negative numbers have the highest bit set. The sum of two non-negative numbers, one of
         // which is an end, overflows into it.
-        wrong = each(|j| wrong[j] | start[j] | end[j] | (longest - step[j].saturating_abs()));
+        invalid = each(|j| invalid[j] | start[j] | end[j] | (longest - step[j].saturating_abs()));
         far[axis] = each(|j| start[j].max(end[j]));
     }
-    let wrong = wrong.iter().fold(0, |any, one| any | one);
+    let invalid = invalid.iter().fold(0, |any, one| any | one);
     let [column, row] = far.map(|far| (far.into_iter().fold(0, i32::max) >> 16) as u64);
     let place = row * u64::from(layout.stride) + column * u64::from(layout.pitch);
-    if wrong < 0 || place > u64::from(u32::MAX) { u64::MAX } else { place }
+    if invalid < 0 || place > u64::from(u32::MAX) { u64::MAX } else { place }
 }

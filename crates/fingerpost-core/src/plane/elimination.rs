@@ -1,12 +1,13 @@
 //! Normal equations of one square of pixels, with its gain and offset eliminated.
 //!
 //! In a square with levels L, residuals r and weights w, the light is r ≈ o + g L with o free and
-//! g ~ N(0, σ²). With columns centred by their weighted means, S = Σ w L², b = Σ w L J and the factor
-//! c = (S + 2 σ⁻²) / (S + σ⁻²)², the sums of what is left of the columns are Σ w J Jᵀ − c b bᵀ.
+//! g ~ N(0, σ²). With columns centred by their weighted means, S = Σ w L², b = Σ w L J and the
+//! factor c = (S + 2 σ⁻²) / (S + σ⁻²)², the sums of the columns without their light are
+//! Σ w J Jᵀ − c b bᵀ.
 
 #![expect(
     clippy::needless_range_loop,
-    reason = "the sums of all unknowns are indexed alike, which the compiler turns into vectors"
+    reason = "the sums of all unknowns have the same indices, which the compiler turns into vectors"
 )]
 
 use crate::numeric::simd::each;

@@ -15,7 +15,7 @@ pub struct RadialLens {
 }
 
 impl RadialLens {
-    /// Where the lens shows what a pinhole would show at a point \[px\]; NaN beyond its radius.
+    /// The distorted position of a point of the pinhole image \[px\]; NaN beyond `max_radius`.
     #[inline(always)]
     pub(super) fn distort(&self, [u, v]: [f64; 2]) -> [f64; 2] {
         let ([fx, fy], [cx, cy]) = (self.focal_px, self.centre_px);

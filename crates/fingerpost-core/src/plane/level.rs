@@ -13,8 +13,8 @@ use crate::{Error, Result};
 /// of −1 and is not the plane.
 const MAX_GAIN: f64 = 0.5;
 
-/// Tukey's constant, 95 % efficient for normal errors, and the range of the residual scale. A square
-/// that is an inlier only at a larger scale is not the plane.
+/// Tukey's constant, 95 % efficient for normal errors, and the range of the residual scale. A
+/// square that is an inlier only at a larger scale is not the plane.
 const BIWEIGHT: f64 = 4.685;
 const MIN_SCALE: f64 = 0.3;
 const MAX_SCALE: f64 = 2.0;
@@ -22,8 +22,8 @@ const MAX_SCALE: f64 = 2.0;
 /// Standard deviation of normal errors over their median absolute value.
 const SIGMA_OVER_MEDIAN: f64 = 1.4826;
 
-/// Rate of the running mean of a pixel's inlier indicator (its trust, 1 to 0), and the least trust of
-/// a pixel that is expected to be an inlier.
+/// Rate of the running mean of a pixel's inlier indicator (its trust, 1 to 0), and the least trust
+/// of a pixel that is expected to be an inlier.
 const TRUST_RATE: f64 = 0.1;
 const MIN_TRUST: f64 = 0.5;
 
@@ -39,7 +39,7 @@ pub(super) type Vector8 = SVector<f64, UNKNOWNS>;
 /// Pixels of one level of the first image, ordered by square; all slices have one length.
 #[derive(Debug, Clone, Copy)]
 pub struct PlanePixels<'a> {
-    /// Where a pinhole shows them at full resolution \[px\].
+    /// Positions in the pinhole image at full resolution \[px\].
     pub positions_px: &'a [[f64; 2]],
     /// Grey levels of the smoothed level.
     pub levels: &'a [f64],
@@ -51,13 +51,13 @@ pub struct PlanePixels<'a> {
     pub squares: &'a [usize],
 }
 
-/// What all levels of a view have in common.
+/// Parameters common to all levels of a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct View {
     /// The view's distortion, if known.
     pub lens: Option<RadialLens>,
-    /// From pixels at full resolution to coordinates of order 1, in which steps are computed: a scale
-    /// and a shift.
+    /// From pixels at full resolution to coordinates of order 1, in which steps are computed: a
+    /// scale and a shift.
     pub unit_from_px: Matrix3<f64>,
 }
 
@@ -75,12 +75,12 @@ struct PlanePixel {
     row: Derivatives,
 }
 
-/// What a pixel shows in the present image, and its weight.
+/// Residual of a pixel in the present image, and its weight.
 #[derive(Debug, Clone, Copy, Default)]
 struct Seen {
     is_visible: bool,
     residual: f64,
-    /// Residual without light in standard deviations; infinite where the light is not the plane's.
+    /// Residual without light \[standard deviations\]; infinite beyond [`MAX_GAIN`].
     error: f64,
     biweight: f64,
 }
@@ -114,14 +114,15 @@ pub(super) struct Step {
 }
 
 impl PlaneLevel {
-    /// The pixels of a level `scale` times the size of the first image, with the standard deviation
-    /// of the change between two images of what a homography has beside a similarity, in unit
-    /// coordinates.
+    /// The pixels of a level `scale` times the size of the first image. `non_similarity_sigma` is
+    /// the standard deviation, in unit coordinates, of the change between two images of those
+    /// components of a homography that a similarity does not have.
     ///
     /// # Errors
     ///
-    /// [`Error::OutOfRange`] for slices of different lengths, a variance, scale or standard deviation
-    /// that is not positive, or squares that are not in order; [`Error::NotFinite`] for any number.
+    /// [`Error::OutOfRange`] for slices of different lengths, a variance, scale or standard
+    /// deviation that is not positive, or squares that are not in order; [`Error::NotFinite`] for
+    /// any number.
     pub fn new(
         pixels: &PlanePixels<'_>,
         scale: f64,
@@ -175,12 +176,13 @@ impl PlaneLevel {
     /// The least-squares step from a homography; `None` with fewer than `least` expected pixels in
     /// view, or without any information.
     ///
-    /// `gone` is the accumulated step in unit coordinates, which the prior draws to a similarity.
+    /// `accumulated` is the step since the guess in unit coordinates, which the prior draws to a
+    /// similarity.
     pub(super) fn step(
         &mut self,
         smooth: &GrayView<'_>,
         now_from_first: &Matrix3<f64>,
-        gone: &Matrix3<f64>,
+        accumulated: &Matrix3<f64>,
         hand: Option<&HandRegion>,
         least: f64,
     ) -> Option<Step> {
@@ -197,17 +199,17 @@ impl PlaneLevel {
         let (_, median, _) = self.errors.select_nth_unstable_by(middle, f64::total_cmp);
         let scale = (SIGMA_OVER_MEDIAN * *median).max(MIN_SCALE);
         Isa::detect().run(WeighPixels { level: self, cut: BIWEIGHT * scale });
-        let (entries, inverse) = self.solved(gone)?;
+        let (entries, inverse) = self.solved(accumulated)?;
         let (inlier_share, inliers) = self.inliers(BIWEIGHT * scale.min(MAX_SCALE));
         Some(Step { entries, inverse, inlier_share, inliers })
     }
 
     /// Solution and inverse of the normal equations; `None` without any information.
-    fn solved(&self, gone: &Matrix3<f64>) -> Option<(Vector8, Matrix8)> {
+    fn solved(&self, accumulated: &Matrix3<f64>) -> Option<(Vector8, Matrix8)> {
         let mut matrix = self.prior;
-        let away = gone - Matrix3::identity();
-        let away = Vector8::from_fn(|k, _| away[(k / 3, k % 3)]);
-        let mut right = self.prior * away;
+        let deviation = accumulated - Matrix3::identity();
+        let deviation = Vector8::from_fn(|k, _| deviation[(k / 3, k % 3)]);
+        let mut right = self.prior * deviation;
         for normal in &self.normals {
             matrix += Matrix8::from_fn(|k, j| normal.matrix[k][j]);
             right += Vector8::from(normal.right);
@@ -218,17 +220,17 @@ impl PlaneLevel {
 
     /// Inliers among the expected pixels: their part of the information, and their number.
     fn inliers(&self, cut: f64) -> (f64, usize) {
-        let (mut all, mut met, mut count) = (0.0, 0.0, 0);
+        let (mut expected_information, mut inlier_information, mut count) = (0.0, 0.0, 0);
         for (pixel, seen) in self.pixels.iter().zip(&self.seen) {
             if seen.is_visible && pixel.trust > MIN_TRUST {
-                all += pixel.position_information;
+                expected_information += pixel.position_information;
                 if seen.error < cut {
-                    met += pixel.position_information;
+                    inlier_information += pixel.position_information;
                     count += 1;
                 }
             }
         }
-        (met / all, count)
+        (inlier_information / expected_information, count)
     }
 
     /// Covariance of a step's entries, clustered: errors within a square correlate.
@@ -277,17 +279,17 @@ impl Work for SamplePixels<'_> {
                 let [x, y, z] = [0, 1, 2].map(|k| rows[k][0] * u + rows[k][1] * v + rows[k][2]);
                 let ideal_px = if z > 0.0 { [x / z, y / z] } else { [f64::NAN; 2] };
                 let place_px = level.view.lens.map_or(ideal_px, |lens| lens.distort(ideal_px));
-                let here = shown(smooth, place_px, level.scale)
+                let sampled = interpolate_level(smooth, place_px, level.scale)
                     .filter(|_| hand.is_none_or(|hand| !hand.contains(place_px)));
-                seen.is_visible = here.is_some();
-                seen.residual = here.map_or(0.0, |here| here - pixel.level);
+                seen.is_visible = sampled.is_some();
+                seen.residual = sampled.map_or(0.0, |sampled| sampled - pixel.level);
                 let weight = if seen.is_visible { pixel.trust * pixel.information } else { 0.0 };
                 light.add(weight, pixel.level, seen.residual);
             }
             let (level_mean, residual_mean, gain) = light.solved();
             for (pixel, seen) in pixels.iter().zip(seen) {
-                let left = seen.residual - residual_mean - gain * (pixel.level - level_mean);
-                let error = left.abs() * pixel.inverse_sigma;
+                let residual = seen.residual - residual_mean - gain * (pixel.level - level_mean);
+                let error = residual.abs() * pixel.inverse_sigma;
                 seen.error = if gain.abs() < MAX_GAIN { error } else { f64::INFINITY };
             }
             start = end;
@@ -312,8 +314,8 @@ impl Work for WeighPixels<'_> {
                 seen.biweight = 0.0;
                 if seen.is_visible && seen.error < cut {
                     let part = seen.error / cut;
-                    let left = 1.0 - part * part;
-                    seen.biweight = left * left;
+                    let root_weight = 1.0 - part * part;
+                    seen.biweight = root_weight * root_weight;
                     let weight = pixel.trust * pixel.information * seen.biweight;
                     sums.add(weight, pixel.level, seen.residual, &pixel.row);
                 }
@@ -324,9 +326,10 @@ impl Work for WeighPixels<'_> {
     }
 }
 
-/// The level of a place at full resolution, in an image `scale` times its size; `None` at its border.
+/// The level at a position at full resolution, in an image `scale` times its size; `None` at its
+/// border.
 #[inline(always)]
-fn shown(smooth: &GrayView<'_>, [u, v]: [f64; 2], scale: f64) -> Option<f64> {
+fn interpolate_level(smooth: &GrayView<'_>, [u, v]: [f64; 2], scale: f64) -> Option<f64> {
     let (u, v) = ((u + 0.5) * scale - 0.5, (v + 0.5) * scale - 0.5);
     let (right, bottom) = (smooth.width() as f64 - 2.0, smooth.height() as f64 - 2.0);
     if !(u >= MARGIN_PX && v >= MARGIN_PX && u <= right && v <= bottom) {
@@ -350,7 +353,7 @@ fn derivatives([u, v]: [f64; 2], [gu, gv]: [f64; 2], unit_from_px: &Matrix3<f64>
     [gx * x, gx * y, gx, gy * x, gy * y, gy, radial * x, radial * y]
 }
 
-/// Information of the four combinations of entries that a similarity does not have, of unit variance:
+/// Information of the four combinations of entries that vanish in a similarity, of unit variance:
 /// h₀₀ − h₁₁, h₀₁ + h₁₀, h₂₀ and h₂₁.
 fn non_similarity() -> Matrix8 {
     let mut information = Matrix8::zeros();
@@ -362,8 +365,8 @@ fn non_similarity() -> Matrix8 {
     information
 }
 
-/// Pseudo-inverse of a symmetric matrix, its unknowns brought to one scale; `None` if one of them has
-/// no information.
+/// Pseudo-inverse of a symmetric matrix, its unknowns brought to one scale; `None` if one of them
+/// has no information.
 fn pseudo_inverse(matrix: &Matrix8) -> Option<Matrix8> {
     let scale = matrix.diagonal().map(f64::sqrt);
     if !scale.iter().all(|&s| s > 0.0 && s.is_finite()) {
@@ -377,7 +380,7 @@ fn pseudo_inverse(matrix: &Matrix8) -> Option<Matrix8> {
     Some(Matrix8::from_fn(|k, j| inverse[(k, j)] / (scale[k] * scale[j])))
 }
 
-/// Refuses what cannot be the pixels of a level.
+/// Refuses invalid pixels of a level.
 fn check(pixels: &PlanePixels<'_>, scale: f64, non_similarity_sigma: f64) -> Result<()> {
     let count = pixels.squares.len();
     let lengths = [

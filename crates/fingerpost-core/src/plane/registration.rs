@@ -8,8 +8,8 @@ use crate::image::gray::GrayView;
 use crate::{Error, Result};
 
 /// Greatest number of iterations; greatest motion of a reference point in the last one, at full
-/// resolution and at reduced levels \[px\]; least determinant of a step, below which it nearly folds
-/// the plane.
+/// resolution and at reduced levels \[px\]; least determinant of a step, below which it nearly
+/// folds the plane.
 const MAX_ITERATIONS: usize = 10;
 const CONVERGENCE_PX: f64 = 0.03;
 const COARSE_CONVERGENCE_PX: f64 = 0.4;
@@ -18,7 +18,7 @@ const MIN_DETERMINANT: f64 = 0.1;
 /// Least number of expected pixels at full resolution; in proportion to the scale at other levels.
 const MIN_EXPECTED: f64 = 150.0;
 
-/// The plane as it lies in an image.
+/// The pose of the plane in an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Registered {
     /// Homography from the pinhole's pixels of the first image to those of the present one \[px\].
@@ -38,17 +38,17 @@ pub struct PlaneRegistration {
     levels: Vec<PlaneLevel>,
     unit_from_px: Matrix3<f64>,
     px_from_unit: Matrix3<f64>,
-    /// Where accuracy is required, in the first image.
+    /// Points of the first image at which accuracy is required.
     points_px: Vec<[f64; 2]>,
 }
 
 impl PlaneRegistration {
-    /// Levels of one view from full resolution down, and where accuracy is required: points of the
-    /// first image, as a pinhole shows them \[px\].
+    /// Levels of one view from full resolution down, and the points of the first pinhole image at
+    /// which accuracy is required \[px\].
     ///
     /// # Errors
     ///
-    /// [`Error::OutOfRange`] without any level, or for unit coordinates that are none.
+    /// [`Error::OutOfRange`] without any level, or for a singular `unit_from_px`.
     pub fn new(levels: Vec<PlaneLevel>, points_px: Vec<[f64; 2]>) -> Result<Self> {
         let Some(unit_from_px) = levels.first().map(PlaneLevel::unit_from_px) else {
             let right = "1 or more";
@@ -107,8 +107,8 @@ impl PlaneRegistration {
             if (level.len() as f64) < least {
                 return None;
             }
-            let gone = motion.gone / motion.gone[(2, 2)];
-            let step = level.step(smooth, &motion.now_from_first, &gone, hand, least)?;
+            let accumulated = motion.gone / motion.gone[(2, 2)];
+            let step = level.step(smooth, &motion.now_from_first, &accumulated, hand, least)?;
             let moved_px = self.apply(&step, motion)?;
             last = Some(step);
             if moved_px < convergence_px {
@@ -118,7 +118,8 @@ impl PlaneRegistration {
         last
     }
 
-    /// Applies a step; returns the greatest motion of a point \[px\], or `None` if it folds the plane.
+    /// Applies a step; returns the greatest motion of a point \[px\], or `None` if it folds the
+    /// plane.
     fn apply(&self, step: &Step, motion: &mut AlignedSoFar) -> Option<f64> {
         let mut by = Matrix3::identity();
         for (k, entry) in step.entries.iter().enumerate() {
@@ -135,14 +136,14 @@ impl PlaneRegistration {
             return None;
         }
         let moved_px = |&[u, v]: &[f64; 2]| {
-            let shown = back_px * nalgebra::Vector3::new(u, v, 1.0);
-            (shown.x / shown.z - u).abs().max((shown.y / shown.z - v).abs())
+            let moved = back_px * nalgebra::Vector3::new(u, v, 1.0);
+            (moved.x / moved.z - u).abs().max((moved.y / moved.z - v).abs())
         };
         Some(self.points_px.iter().map(moved_px).fold(0.0, f64::max))
     }
 }
 
-/// The plane's motion as far as it is known.
+/// The current estimate of the plane's motion.
 struct AlignedSoFar {
     now_from_first: Matrix3<f64>,
     /// Accumulated step since the guess, in unit coordinates.

@@ -2,7 +2,6 @@
 //!
 //! Every component of the shape vector evolves independently over an interval T, by one of two
 //! models. With a *velocity*, changed by white acceleration of the density q \[unit²/s³\]:
-//! interval T. With a *velocity*, which white acceleration of the density q \[unit²/s³\] changes:
 //!
 //! ```text
 //! x' = x + T ẋ        Q = q · | T³/3  T²/2 |
@@ -334,22 +333,24 @@ impl<const D: usize> State<D> {
         let covariance = symmetric(&(p_xx + r));
         let factor = Cholesky::new(covariance)?;
         let (k_x, k_v) = (factor.solve(p_xx).transpose(), factor.solve(p_xv).transpose());
-        let kept = SMatrix::identity() - k_x;
+        let complement = SMatrix::identity() - k_x;
         let noise = r * k_v.transpose();
         let to_v = p_xv - p_xx * k_v.transpose();
         let state = Self {
             x: principal(components, &(x + k_x * vector)),
             v: v + k_v * vector,
-            p_xx: symmetric(&(kept * p_xx * kept.transpose() + k_x * r * k_x.transpose())),
-            p_xv: kept * to_v + k_x * noise,
+            p_xx: symmetric(
+                &(complement * p_xx * complement.transpose() + k_x * r * k_x.transpose()),
+            ),
+            p_xv: complement * to_v + k_x * noise,
             p_vv: symmetric(
                 &(p_vv - k_v * p_xv - p_xv.transpose() * k_v.transpose()
                     + k_v * (p_xx * k_v.transpose() + noise)),
             ),
         };
         let normalised_square = vector.dot(&factor.solve(&vector));
-        let sound = normalised_square.is_finite() && state.x.sum().is_finite();
-        sound.then_some((state, Innovation { vector, covariance, normalised_square }))
+        let is_finite = normalised_square.is_finite() && state.x.sum().is_finite();
+        is_finite.then_some((state, Innovation { vector, covariance, normalised_square }))
     }
 }
 

@@ -55,7 +55,7 @@ impl ContourTracker {
         last: LastKnown,
     ) -> Result<Track> {
         let LastKnown { shape, kind, measure } = last;
-        let settling = std::mem::replace(&mut self.hand.kind, kind);
+        let kind_before = std::mem::replace(&mut self.hand.kind, kind);
         self.hand.measure = measure;
         let reach_px = LOST_REACH * self.largeness() * self.options.track.half_length_px;
         let accept = self.options.acquire.accept;
@@ -74,7 +74,7 @@ impl ContourTracker {
                 return Ok(track.bent(bend.as_ref()));
             }
         }
-        self.hand.kind = settling;
+        self.hand.kind = kind_before;
         self.hand.measure = self.initial.measure;
         self.acquire(frame, time_s, settled, Some(last))
     }
@@ -143,9 +143,9 @@ impl ContourTracker {
         frame: &Scene<'_>,
         settled: usize,
     ) -> Result<(FitResult, Option<Refusal>)> {
-        let alone = self.settled(&frame.alone(), settled)?;
-        if alone.1.is_none() || frame.background().is_none() {
-            return Ok(alone);
+        let without_background = self.settled(&frame.alone(), settled)?;
+        if without_background.1.is_none() || frame.background().is_none() {
+            return Ok(without_background);
         }
         self.settled(frame, settled)
     }
@@ -161,14 +161,14 @@ impl ContourTracker {
     ) -> Result<(FitResult, Option<Refusal>)> {
         let found = self.initialise(frame, settled)?;
         let refusal = found.refusal(&self.options.acquire.accept);
-        let is_table = || self.stands_free(frame, &found.shape) == Some(false);
+        let is_table = || self.passes_foreground_test(frame, &found.shape) == Some(false);
         let refusal = refusal.or_else(|| is_table().then_some(Refusal::Background));
         Ok((found, refusal))
     }
 
     /// Result of the [foreground test](ForegroundTest) of the finger; `None` where the background
     /// is unknown.
-    fn stands_free(&self, frame: &Scene<'_>, shape: &Shape) -> Option<bool> {
+    fn passes_foreground_test(&self, frame: &Scene<'_>, shape: &Shape) -> Option<bool> {
         let mut foreground_test = ForegroundTest::before(frame.table()?, shape.width());
         self.hand.outline(shape, &self.samples, |part, placed| {
             if part != Part::Thumb {
@@ -239,22 +239,22 @@ impl ContourTracker {
             (Shape::Planar(map), _) => self.affine(frame, map, NEAR_PX)?,
         };
         // The refit of a resting hand does not slide along the background.
-        let slid = frozen.shape.placement() - settled.shape.ahead(ahead_px).placement();
+        let displacement = frozen.shape.placement() - settled.shape.ahead(ahead_px).placement();
         let length_px = self.initial.measure.length_px;
         let most_px =
             self.options.acquire.reach_px(self.initial.ribbon[3]).max(MOST_SLID * length_px);
         let (sin, cos) = settled.shape.placement()[2].sin_cos();
-        let lateral_px = (slid.y * cos - slid.x * sin).abs();
+        let lateral_px = (displacement.y * cos - displacement.x * sin).abs();
         // A hand that has left the shade has become wider on one side.
         let widened_px =
             self.hand.shaded.map_or(0.0, |_| frozen.shape.width() - settled.shape.width());
-        let stays = slid.xy().norm() <= most_px
+        let is_in_place = displacement.xy().norm() <= most_px
             && lateral_px <= MAX_LATERAL * settled.shape.width() + widened_px.max(0.0)
-            && slid[2].sin().abs() <= MOST_TURNED_RAD;
-        let accepted = stays
+            && displacement[2].sin().abs() <= MOST_TURNED_RAD;
+        let accepted = is_in_place
             && frozen.is_accepted(&self.options.track.accept)
             && stands_out(self.finger_separation(frame), frozen.explains_finger(), || {
-                self.stands_free(frame, &frozen.shape)
+                self.passes_foreground_test(frame, &frozen.shape)
             });
         if accepted {
             self.hand.shape = frozen.shape;
@@ -340,8 +340,8 @@ impl ContourTracker {
 
 /// A finger that was fitted alone, with the thumb where that of the hand was.
 pub(super) fn with_thumb_of(hand: &RibbonVector, finger: &RibbonVector) -> RibbonVector {
-    let slid = finger.fixed_rows::<2>(0) - hand.fixed_rows::<2>(0);
-    let mut together = *finger;
-    together[5] -= slid.dot(&Vector2::new(hand[2].cos(), hand[2].sin()));
-    together
+    let displacement = finger.fixed_rows::<2>(0) - hand.fixed_rows::<2>(0);
+    let mut combined = *finger;
+    combined[5] -= displacement.dot(&Vector2::new(hand[2].cos(), hand[2].sin()));
+    combined
 }

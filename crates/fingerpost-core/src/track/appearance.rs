@@ -93,22 +93,23 @@ impl SearchModel<'_> {
             .map_or(self.cue, Cue::HandEdges)
     }
 
-    /// Whether an edge of a part of the outline is the hand's own, in a frame `shown` as this
-    /// search model shows it. Without an appearance every edge is.
+    /// Whether an edge of a part of the outline is the hand's own; `search_frame` is the frame in
+    /// this search model's mixture. Without an appearance every edge is.
     pub fn is_own_of(
         &self,
         part: Part,
         frame: &Frame<'_>,
-        shown: &Frame<'_>,
+        search_frame: &Frame<'_>,
         edge: &PlacedSample,
     ) -> bool {
-        SearchModel { cue: self.cue_of(part), ..*self }.is_own(frame, shown, edge)
+        SearchModel { cue: self.cue_of(part), ..*self }.is_own(frame, search_frame, edge)
     }
 
     /// The same for an edge on any part of the outline.
-    pub fn is_own(&self, frame: &Frame<'_>, shown: &Frame<'_>, edge: &PlacedSample) -> bool {
+    pub fn is_own(&self, frame: &Frame<'_>, search_frame: &Frame<'_>, edge: &PlacedSample) -> bool {
         self.cue.appearance().is_none_or(|appearance| {
-            appearance.is_own_edge(shown, edge.position, edge.normal) && self.has_shade(frame, edge)
+            appearance.is_own_edge(search_frame, edge.position, edge.normal)
+                && self.has_shade(frame, edge)
         })
     }
 
@@ -123,8 +124,8 @@ impl SearchModel<'_> {
             && self.has_shade(frame, edge)
     }
 
-    /// Whether the inside of an edge has a grey level that the hand has shown. Bins of colour are
-    /// so wide that an occluder may share them.
+    /// Whether the inside of an edge has a grey level that was observed on the hand. Bins of colour
+    /// are so wide that an occluder may share them.
     fn has_shade(&self, frame: &Frame<'_>, edge: &PlacedSample) -> bool {
         self.shades.is_none_or(|shades| shades.has_shown(frame, edge.position, edge.normal))
     }
@@ -265,13 +266,13 @@ impl AppearanceModel {
         let searched = self.discriminant.mixture().copied();
         self.discriminant.learn();
         if let Some(mixture) = searched.as_ref().or(self.discriminant.mixture()) {
-            let shown = image.of(
+            let mixed_frame = image.of(
                 frame,
                 mixture,
                 region_about(self.pixels.iter().map(|p| (p.middle(), 0.0))),
             )?;
             self.mixed.fade(keep as f32);
-            self.mixed.observe_all(&shown, &self.pixels, times);
+            self.mixed.observe_all(&mixed_frame, &self.pixels, times);
             self.mixed.learn();
         }
         self.finer = self.mixed.separation() > self.plain.separation();
@@ -306,22 +307,23 @@ impl AppearanceModel {
         let Shaft { axis, half_width_px, length_px } = *shaft;
         let log_ratio = |ahead_px: f64| shaft.log_ratio(frame, &self.plain, ahead_px);
         let mut stretch = [0.0; STRETCH];
-        let behind = contour.iter().map(|seen| (axis.tip - seen.position).dot(&axis.direction()));
-        let seen_px = behind.fold(0.0, f64::max).min(length_px) - 0.5 * half_width_px;
+        let behind =
+            contour.iter().map(|sample| (axis.tip - sample.position).dot(&axis.direction()));
+        let visible_px = behind.fold(0.0, f64::max).min(length_px) - 0.5 * half_width_px;
         let mut inside = 0.0;
-        let back = shaft.steps(half_width_px, seen_px).zip(1..);
+        let back = shaft.steps(half_width_px, visible_px).zip(1..);
         for (back_px, steps) in back {
-            let likely = log_ratio(-back_px);
-            stretch[steps % STRETCH] = likely;
+            let mean_ratio = log_ratio(-back_px);
+            stretch[steps % STRETCH] = mean_ratio;
             if steps >= STRETCH && stretch.iter().sum::<f64>() < 0.0 {
                 return false;
             }
             // Running mean.
-            inside += (likely - inside) / steps as f64;
+            inside += (mean_ratio - inside) / steps as f64;
         }
-        let most = if self.is_coloured() { GOES_ON * inside } else { 0.0 };
+        let limit = if self.is_coloured() { GOES_ON * inside } else { 0.0 };
         let ahead = shaft.steps(2.0 * EDGE_PX, AHEAD * half_width_px);
-        ahead.map(|ahead_px| log_ratio(ahead_px) - most).sum::<f64>() <= 0.0
+        ahead.map(|ahead_px| log_ratio(ahead_px) - limit).sum::<f64>() <= 0.0
     }
 
     /// Whether a mixture of colours shows the hand better than the grey image.
@@ -371,14 +373,14 @@ impl AppearanceModel {
     fn gather_behind(&mut self, frame: &Frame<'_>, unseen: &[PlacedSample]) {
         let Some(colours) = frame.colour() else { return };
         for PlacedSample { position, normal } in unseen {
-            let along = |[from_px, to_px]: [f64; 2], way: f64| {
-                SidedPixel::along(*position, normal * way, from_px, to_px, false)
+            let along = |[from_px, to_px]: [f64; 2], sign: f64| {
+                SidedPixel::along(*position, normal * sign, from_px, to_px, false)
             };
             let inside = along(INSIDE_PX, -1.0);
-            let differ = colours.mean(inside.clone()).zip(colours.mean(along(BEHIND_PX, 1.0)));
-            let differ = differ.is_some_and(|(a, b)| (a - b).norm() >= OTHER_COLOUR);
+            let means = colours.mean(inside.clone()).zip(colours.mean(along(BEHIND_PX, 1.0)));
+            let is_different = means.is_some_and(|(a, b)| (a - b).norm() >= OTHER_COLOUR);
             let places = inside.map(|pixel| pixel.middle());
-            if differ && self.plain.mean_log_ratio(frame, places) >= LIKE_HAND {
+            if is_different && self.plain.mean_log_ratio(frame, places) >= LIKE_HAND {
                 self.pixels.extend(along([2.0 * EDGE_PX, REACH_PX], 1.0));
             }
         }

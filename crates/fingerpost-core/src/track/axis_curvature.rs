@@ -51,8 +51,8 @@ struct AxisSegment {
 
 impl AxisSegment {
     /// Distance of its end behind the tip in this view \[px\].
-    fn far_px(&self, seen: &FingerScale) -> f64 {
-        self.far * seen.foreshortening * seen.half_width_px
+    fn far_px(&self, scale: &FingerScale) -> f64 {
+        self.far * scale.foreshortening * scale.half_width_px
     }
 }
 
@@ -70,7 +70,7 @@ const WHOLE: AxisSegment = AxisSegment { near: 0.3, far: 8.8, farthest: 0.15 };
 /// finger's own. On a flank of low contrast, shading displaces the edge; it bends the medial line
 /// as a joint does, and averaging frames does not reduce it. The part of the bend by which the line
 /// is moved from the whole to the front is 1 / (1 + (this / ratio)⁴): nearly 1 at twice this ratio,
-/// hardly more than 0 at half of it. Without colours a shade looks like an edge, and the part is 0.
+/// hardly more than 0 at half of it. Without colours a shade resembles an edge, and the part is 0.
 const HALF_OWN: f64 = 14.0;
 /// Error of the parabola's turn of the line, as a multiple of that turn. A parabola models a finger
 /// with a knuckle at its end badly: on two rendered hands, half and a fifth of the true bend were
@@ -188,20 +188,20 @@ impl AxisCurvature {
         let [right, left] = report.contrast_grey.map(f64::abs);
         let contrast_grey = right.min(left);
         // No division by zero: rounding alone makes pixels scatter.
-        let shows = contrast_grey / report.residual_grey;
-        let own_part = if is_coloured { beyond(HALF_OWN, shows, 4) } else { 0.0 };
+        let contrast_ratio = contrast_grey / report.residual_grey;
+        let own_part = if is_coloured { sigmoid(HALF_OWN, contrast_ratio, 4) } else { 0.0 };
         self.own_part.learn(own_part, BEND_RATE);
-        let stands_out = contrast_grey / texture_grey(&report, refined.noise_grey);
-        self.faintness.learn(1.0 - beyond(FAINT, stands_out, 8), BEND_RATE);
+        let texture_ratio = contrast_grey / texture_grey(&report, refined.noise_grey);
+        self.faintness.learn(1.0 - sigmoid(FAINT, texture_ratio, 8), BEND_RATE);
     }
 
     /// Distance behind the tip \[px\] of the flanks' end for a separate measurement of the front;
     /// `None` where the line of the whole and its curvature are at least as precise.
-    pub fn front_to_measure(&self, whole: &Refined, seen: &FingerScale) -> Option<f64> {
+    pub fn front_to_measure(&self, whole: &Refined, scale: &FingerScale) -> Option<f64> {
         if is_off(Mechanism::FrontLine) {
             return None;
         }
-        let far_px = FRONT.far_px(seen);
+        let far_px = FRONT.far_px(scale);
         let length_px = whole.stretch.length_px();
         let turn_rad = 0.5 * self.own_curvature() * (length_px - far_px).max(0.0);
         let noise_rad2 = whole.covariance[(1, 1)] * ((length_px / far_px).powi(3) - 1.0);
@@ -216,18 +216,18 @@ impl AxisCurvature {
         &mut self,
         line: FingerLine,
         front: Option<&FrontLine>,
-        seen: &FingerScale,
+        scale: &FingerScale,
     ) -> FingerLine {
         if is_off(Mechanism::AxisCurvature) {
             return line;
         }
         let Axis { anchor, tip, .. } = line.axis;
         let ahead_px = (tip - anchor).dot(&line.axis.direction());
-        self.half_width_px.learn(seen.half_width_px, SIZE_RATE);
+        self.half_width_px.learn(scale.half_width_px, SIZE_RATE);
         self.far_px.learn(ahead_px + line.half_length_px, SIZE_RATE);
         let line = front.map_or(line, |front| front.moved_to_front(line, self.own_part.value));
         let measured = Cuts::of(&line.stretch);
-        let target_cuts = self.target_cuts(&line, &measured, ahead_px, seen.foreshortening);
+        let target_cuts = self.target_cuts(&line, &measured, ahead_px, scale.foreshortening);
         let cuts = measured.towards(target_cuts, self.own_bend());
         let [turn_rad, twice_lateral_px] = ((cuts.0 - measured.0) * self.curvature()).into();
         let step = Vector2::new(0.5 * twice_lateral_px, turn_rad);
@@ -339,7 +339,7 @@ fn texture_grey(report: &PhotometricReport, noise_grey: f64) -> f64 {
 }
 
 /// Sigmoid 1 / (1 + (half / contrast)^power) of a contrast, 0–1: ½ at `half`.
-fn beyond(half: f64, contrast: f64, power: i32) -> f64 {
+fn sigmoid(half: f64, contrast: f64, power: i32) -> f64 {
     1.0 / (1.0 + (half / contrast).powi(power))
 }
 

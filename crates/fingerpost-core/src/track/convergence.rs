@@ -206,16 +206,16 @@ impl Convergence {
     pub fn sharpness(&mut self, samples: usize, frame: &Frame<'_>, finger: &Silhouette) -> f64 {
         self.gather_agreeing(samples);
         let [left, right] = finger.flanks(&self.agreeing).map(|edges| {
-            let (mut near, mut about) = (0.0, 0.0);
+            let (mut near_change, mut full_change) = (0.0, 0.0);
             for edge in edges {
                 let [step, change] =
                     [NEAR_EDGE_PX, ABOUT_EDGE_PX].map(|px| change_across(frame, edge, px));
                 if let (Some(step), Some(change)) = (step, change) {
-                    near += step * change.signum();
-                    about += change.abs();
+                    near_change += step * change.signum();
+                    full_change += change.abs();
                 }
             }
-            if about > 0.0 { (near / about).clamp(0.0, 1.0) } else { 1.0 }
+            if full_change > 0.0 { (near_change / full_change).clamp(0.0, 1.0) } else { 1.0 }
         });
         left.min(right)
     }
@@ -256,9 +256,11 @@ impl Convergence {
             return Ok(());
         };
         let edges = self.agreeing.iter().map(|edge| (edge.position, KERNEL_REACH_PX));
-        let shown = self.image.shown(frame, search_model.mixture, || region_about(edges))?;
+        let search_frame = self.image.shown(frame, search_model.mixture, || region_about(edges))?;
         self.own.clear();
-        self.own.extend(self.agreeing.iter().map(|edge| search_model.is_own(frame, &shown, edge)));
+        self.own.extend(
+            self.agreeing.iter().map(|edge| search_model.is_own(frame, &search_frame, edge)),
+        );
         if 2 * self.own.iter().filter(|&&own| own).count() >= self.agreeing.len() {
             let mut own = self.own.iter();
             self.agreeing.retain(|_| own.next().is_some_and(|&own| own));
@@ -343,8 +345,8 @@ impl Convergence {
             if moved_px < half_length_px / 2.0 {
                 let shrunk_px = half_length_px * SHRINK;
                 // Within the window, one step brings the contour most of the way.
-                let left_px = stage.window.map_or(shrunk_px, |_| LEFT * moved_px);
-                half_length_px = shrunk_px.min(left_px).max(MIN_HALF_LENGTH_PX);
+                let remaining_px = stage.window.map_or(shrunk_px, |_| LEFT * moved_px);
+                half_length_px = shrunk_px.min(remaining_px).max(MIN_HALF_LENGTH_PX);
             }
         }
         if stage.rest != StageEnd::TakenOver {
@@ -419,8 +421,9 @@ impl Convergence {
         self.left_px.clear();
         self.left_px.resize(self.visible.len(), f64::INFINITY);
         let FitStage { search_model, scale, own_only, .. } = stage;
-        let shown = self.image.shown(frame, search_model.mixture, || self.normals.region())?;
-        self.normals.search(frame, &shown, search_model, *scale, *own_only)
+        let search_frame =
+            self.image.shown(frame, search_model.mixture, || self.normals.region())?;
+        self.normals.search(frame, &search_frame, search_model, *scale, *own_only)
     }
 
     /// Fraction of the visible contour of the first `samples` whose edges are within `within_px` of
@@ -432,15 +435,17 @@ impl Convergence {
         samples: usize,
         within_px: f64,
     ) -> Result<f64> {
-        let shown = self.image.shown(frame, search_model.mixture, || self.normals.region())?;
+        let search_frame =
+            self.image.shown(frame, search_model.mixture, || self.normals.region())?;
         let mut residuals = self.fitter.residuals().iter();
         let (mut own, mut visible) = (0_usize, 0_usize);
         for (line, (&i, found)) in self.visible.iter().zip(self.normals.found()).enumerate() {
             let is_near = found.is_ok() && residuals.next().is_some_and(|r| r.abs() < within_px);
             if i < samples {
                 visible += 1;
-                own +=
-                    usize::from(is_near && self.normals.is_own(line, frame, &shown, search_model));
+                own += usize::from(
+                    is_near && self.normals.is_own(line, frame, &search_frame, search_model),
+                );
             }
         }
         Ok(own as f64 / visible.max(1) as f64)

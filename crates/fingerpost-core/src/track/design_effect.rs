@@ -30,8 +30,8 @@ pub(super) fn design_effect(residuals: &[(Part, f64)]) -> f64 {
     let window = (WITHIN * residuals.len() as f64).round() as usize + 1;
     // Two residuals share more windows, the nearer they are: the triangular weight.
     let parts = residuals.chunk_by(|(part, _), (next, _)| part == next);
-    let together: f64 = parts.map(|part| squared_sums(part, window)).sum();
-    (together / (window as f64 * square)).max(1.0)
+    let window_squares: f64 = parts.map(|part| squared_sums(part, window)).sum();
+    (window_squares / (window as f64 * square)).max(1.0)
 }
 
 /// Squares of the sums over `window` neighbours, added over all positions of the window that
@@ -39,15 +39,15 @@ pub(super) fn design_effect(residuals: &[(Part, f64)]) -> f64 {
 fn squared_sums(part: &[(Part, f64)], window: usize) -> f64 {
     let mut sum = 0.0;
     let mut squares = 0.0;
-    let mut slide = |step: f64| {
+    let mut push = |step: f64| {
         sum += step;
         squares += sum * sum;
     };
     let within = window.min(part.len());
-    part[..within].iter().for_each(|(_, last)| slide(*last));
-    (within..window).for_each(|_| slide(0.0));
-    part.iter().zip(&part[within..]).for_each(|((_, first), (_, last))| slide(last - first));
-    part[part.len() - within..].iter().for_each(|(_, first)| slide(-first));
+    part[..within].iter().for_each(|(_, last)| push(*last));
+    (within..window).for_each(|_| push(0.0));
+    part.iter().zip(&part[within..]).for_each(|((_, first), (_, last))| push(last - first));
+    part[part.len() - within..].iter().for_each(|(_, first)| push(-first));
     squares
 }
 
@@ -94,13 +94,13 @@ mod tests {
     }
 
     #[test]
-    fn independent_residuals_count_in_full() {
+    fn independent_residuals_have_a_design_effect_near_one() {
         assert!((observed(0.0) - 1.0).abs() < 0.15, "{}", observed(0.0));
         assert!(estimated(0.0) < 1.3, "{}", estimated(0.0));
     }
 
     #[test]
-    fn residuals_that_follow_each_other_count_for_the_fewer_that_they_are() {
+    fn the_design_effect_of_correlated_residuals_matches_the_variance_of_their_mean() {
         for rho in [0.4, 0.7] {
             let ratio = estimated(rho) / observed(rho);
             assert!(
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_counts_twice() {
+    fn the_design_effect_is_at_least_one() {
         let jagged: Vec<_> =
             (0..COUNT).map(|i| (Part::Tip, if i % 2 == 0 { 1.0 } else { -1.0 })).collect();
         for residuals in [&[], &[(Part::Tip, 0.0); 30][..], &jagged] {

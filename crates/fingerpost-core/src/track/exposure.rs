@@ -1,7 +1,7 @@
 //! Detection of changes of light: a lamp, a cloud, a camera's exposure control.
 //!
 //! The colours of a hand are learned in one light. A slow adaptation follows a slow change only
-//! while the contour is visible on both sides. If the light drops faster, skin looks like the wood
+//! while the contour is visible on both sides. If the light drops faster, skin resembles the wood
 //! of before, its edges are rejected, and nothing is learned that could correct this. Therefore the
 //! change of light is estimated from the whole image: the median ratio of its pixels' brightness to
 //! that of before, which tolerates outliers in half of them.
@@ -48,8 +48,8 @@ impl Exposure {
             let y = (2 * row + 1) * size.1 / (2 * rows);
             let pixels = image.row(y).unwrap_or_default();
             let place = |column: usize| (2 * column + 1) * size.0 / (2 * columns);
-            let seen = (0..columns).map(|column| pixels.get(place(column)).copied().unwrap_or(0));
-            self.now.extend(seen);
+            let levels = (0..columns).map(|column| pixels.get(place(column)).copied().unwrap_or(0));
+            self.now.extend(levels);
         }
         if self.grid.is_empty() || self.size != size {
             self.size = size;
@@ -63,11 +63,11 @@ impl Exposure {
         // Counting decides whether the median shows a change; only then it is computed.
         let (mut count, mut brighter, mut darker) = (0, 0, 0);
         for (&then, &now) in self.grid.iter().zip(&self.now) {
-            let reports = LEVELS.contains(&then) & LEVELS.contains(&now);
+            let is_usable = LEVELS.contains(&then) & LEVELS.contains(&now);
             let (then, now) = (f32::from(then), f32::from(now));
-            count += u32::from(reports);
-            brighter += u32::from(reports) * u32::from(now >= BRIGHTER * then);
-            darker += u32::from(reports) * u32::from(now <= then / BRIGHTER);
+            count += u32::from(is_usable);
+            brighter += u32::from(is_usable) * u32::from(now >= BRIGHTER * then);
+            darker += u32::from(is_usable) * u32::from(now <= then / BRIGHTER);
         }
         // For an even number, the upper of the two middle values.
         let is_changed = 2 * brighter >= count || 2 * darker > count;
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_of_light_is_told_once_it_matters() {
+    fn a_change_of_light_is_reported_once_it_matters() {
         let mut exposure = Exposure::new();
         assert_eq!(changed(&mut exposure, texture), None);
         assert_eq!(changed(&mut exposure, |i| 0.97 * texture(i)), None);
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn what_covers_less_than_half_of_the_picture_is_no_light() {
+    fn an_occluder_of_less_than_half_the_image_is_no_change_of_light() {
         let mut exposure = Exposure::new();
         changed(&mut exposure, texture);
         let covered = |i: usize| if i % SIZE.0 < SIZE.0 * 2 / 5 { 30.0 } else { texture(i) };
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_black_frame_tells_nothing() {
+    fn a_black_frame_gives_no_exposure() {
         let mut exposure = Exposure::new();
         changed(&mut exposure, texture);
         assert_eq!(changed(&mut exposure, |_| 0.0), None);

@@ -57,10 +57,10 @@ impl ContourTracker {
             }
             None => plan,
         };
-        let before_others = SearchPlan { rest: StageEnd::TakenOver, ..first };
+        let placement_plan = SearchPlan { rest: StageEnd::TakenOver, ..first };
         Ok(match from {
-            Shape::Planar(map) if self.shows_shear() => {
-                let near = SearchPlan { every: ENOUGH_TO_TURN, ..before_others };
+            Shape::Planar(map) if self.determines_shear() => {
+                let near = SearchPlan { every: ENOUGH_TO_TURN, ..placement_plan };
                 let turned = self.planar::<Rigid, 3>(frame, map, near)?;
                 // Bands search the full range: shortened lines gave less accurate points on grey
                 // footage.
@@ -71,7 +71,7 @@ impl ContourTracker {
             Shape::Ribbon(x) => {
                 let belief = window.and_then(|w| w.belief());
                 let turned =
-                    self.run_ribbon::<3>(frame, &x, Limb::Finger, before_others, belief.as_ref())?;
+                    self.run_ribbon::<3>(frame, &x, Limb::Finger, placement_plan, belief.as_ref())?;
                 let slack = if own_only { self.hand.slack() } else { 1.0 };
                 let mut held = self.held::<5>(&x, slack);
                 if let Some(Prior { mean, information }) = belief {
@@ -82,7 +82,7 @@ impl ContourTracker {
                     self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, plan, Some(&held))?;
                 match &finger.fit {
                     Some(fit) if self.hand.kind.has_thumb => {
-                        self.lean_thumb(frame, &finger, fit, plan)?.into()
+                        self.fit_thumb(frame, &finger, fit, plan)?.into()
                     }
                     _ => finger.into(),
                 }
@@ -101,7 +101,7 @@ impl ContourTracker {
         let plan = SearchPlan::edges(half_length_px);
         let moved = self.planar::<Translation, 2>(frame, from, plan)?;
         let turned = self.planar::<Rigid, 3>(frame, moved.shape, plan)?;
-        Ok(if self.shows_shear() {
+        Ok(if self.determines_shear() {
             self.planar::<Affine, 6>(frame, turned.shape, plan)?.into()
         } else {
             self.planar::<Similarity, 4>(frame, turned.shape, plan)?.into()
@@ -127,10 +127,10 @@ impl ContourTracker {
         let stage = self.hand.stage(samples, frame, plan, self.options.polarity);
         let found = self.convergence.run(frame, &space, x, &stage, None)?;
         let map = space.pose(&found.x);
-        let sound = map.decompose().is_ok();
+        let is_valid = map.decompose().is_ok();
         Ok(FitResult {
-            shape: if sound { map } else { from },
-            fit: found.fit.filter(|_| sound),
+            shape: if is_valid { map } else { from },
+            fit: found.fit.filter(|_| is_valid),
             iterations: found.iterations,
             edges_within_px: found.edges_within_px,
         })
@@ -138,13 +138,13 @@ impl ContourTracker {
 
     /// Whether the planar template has a thumb that determines length and shear; a traced outline
     /// is assumed to be more than a finger.
-    fn shows_shear(&self) -> bool {
+    fn determines_shear(&self) -> bool {
         self.hand.kind.has_thumb || self.template.proportions().is_none()
     }
 
     /// Fits the thumb of a fitted finger. A thumb bends and leans; it must not turn the finger,
     /// whose line and covariance stay unchanged.
-    fn lean_thumb(
+    fn fit_thumb(
         &mut self,
         frame: &Scene<'_>,
         finger: &Converged<RIBBON_DOF>,

@@ -114,13 +114,13 @@ mod tests {
     const FLANKS: [usize; 2] = [20, 40];
     const TABLE: u8 = 140;
 
-    fn pictured(level: impl Fn(usize) -> u8) -> Vec<u8> {
+    fn image_of(level: impl Fn(usize) -> u8) -> Vec<u8> {
         // Noise of one level, so that a flank has several levels.
         let pixel = |i: usize| level(i % SIDE) + (7 * i / SIDE + 3 * i) as u8 % 3;
         (0..SIDE * SIDE).map(pixel).collect()
     }
 
-    fn learned(flank_levels: &mut FlankLevels, pixels: &[u8]) {
+    fn learn_frame(flank_levels: &mut FlankLevels, pixels: &[u8]) {
         let frame = Frame::gray(GrayView::new(pixels, SIDE, SIDE, SIDE).unwrap());
         let finger = Silhouette { ahead: -Vector2::y(), half_width_px: 10.0 };
         let edge = |x: usize, normal: f64, y: usize| PlacedSample {
@@ -137,15 +137,15 @@ mod tests {
     }
 
     #[test]
-    fn a_flank_has_levels_of_its_own() {
+    fn each_flank_is_recognised_by_its_own_levels() {
         let [left, right] = FLANKS;
-        let lit = pictured(|x| match x {
+        let pixels = image_of(|x| match x {
             _ if x < left || x >= right => TABLE,
             _ => (170 - 3 * (x - left)) as u8,
         });
         let mut flank_levels = FlankLevels::new();
         assert!(flank_levels.of(Part::LeftFlank).is_none(), "nothing is known yet");
-        learned(&mut flank_levels, &lit);
+        learn_frame(&mut flank_levels, &pixels);
         let levels: Vec<u8> = (0..=u8::MAX).collect();
         let frame = Frame::gray(GrayView::new(&levels, 256, 1, 256).unwrap());
         let log_ratio = |part: Part, level: u8| {
@@ -160,11 +160,11 @@ mod tests {
     }
 
     #[test]
-    fn a_flank_as_bright_as_the_table_is_not_known() {
+    fn a_flank_as_bright_as_the_table_has_no_model() {
         let [left, right] = FLANKS;
-        let dim = pictured(|x| if (left + 10..right).contains(&x) { 90 } else { TABLE });
+        let pixels = image_of(|x| if (left + 10..right).contains(&x) { 90 } else { TABLE });
         let mut flank_levels = FlankLevels::new();
-        learned(&mut flank_levels, &dim);
+        learn_frame(&mut flank_levels, &pixels);
         assert!(
             flank_levels.of(Part::LeftFlank).is_none()
                 && flank_levels.of(Part::RightFlank).is_some()

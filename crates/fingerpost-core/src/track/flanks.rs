@@ -64,7 +64,7 @@ impl FlankExtent {
     }
 
     /// Whether less than the part [`MOST`] of it agrees.
-    fn strays(&self) -> bool {
+    fn is_inconsistent(&self) -> bool {
         f64::from(self.agreeing) < MOST * f64::from(self.edges)
     }
 }
@@ -101,17 +101,17 @@ impl Convergence {
         let found = self.run(frame, space, x, stage, believed)?;
         let Some(fit) = found.fit.filter(|_| D == FINGER_DOF) else { return Ok(found) };
         let samples = stage.samples;
-        let strays = self.straying(samples, f64::INFINITY) > 0;
-        if !strays && !self.leans(samples) {
+        let is_inconsistent = self.inconsistent_flanks(samples, f64::INFINITY) > 0;
+        if !is_inconsistent && !self.is_one_sided(samples) {
             return Ok(found);
         }
         let exact_px = LEANS_PX.max(fit.residual_rms_px / LEANS);
-        let within_px = if strays { f64::INFINITY } else { exact_px };
+        let within_px = if is_inconsistent { f64::INFINITY } else { exact_px };
         let agreeing = self.agreeing_from_tip(samples, within_px);
         let from_front = self.run_from_front(frame, space, x, stage, believed)?;
         // If both flanks turn, the finger is bent.
         if from_front.fit.is_some()
-            && (strays || self.straying(samples, within_px) <= 1)
+            && (is_inconsistent || self.inconsistent_flanks(samples, within_px) <= 1)
             && self.agreeing_from_tip(samples, within_px) > agreeing
         {
             return Ok(from_front);
@@ -136,23 +136,23 @@ impl Convergence {
         let near = FitStage { half_length_px, window: None, ..*stage };
         self.run(frame, space, ahead.x, &near, Some(&pinned(&ahead.x)))?;
         let agreeing = FitStage { samples: self.agreeing_samples(stage.samples), ..near };
-        let own = self.run(frame, space, ahead.x, &agreeing, believed)?;
-        let whole = self.run(frame, space, own.x, &near, Some(&pinned(&own.x)))?;
-        let fit = own.fit.zip(whole.fit).map(|(own, whole)| {
-            let Fit { shape, axis, line_covariance, .. } = own;
+        let refitted = self.run(frame, space, ahead.x, &agreeing, believed)?;
+        let whole = self.run(frame, space, refitted.x, &near, Some(&pinned(&refitted.x)))?;
+        let fit = refitted.fit.zip(whole.fit).map(|(refitted, whole)| {
+            let Fit { shape, axis, line_covariance, .. } = refitted;
             Fit { shape, axis, line_covariance, ..whole }
         });
-        let iterations = ahead.iterations + own.iterations + whole.iterations;
-        Ok(Converged { fit, iterations, ..own })
+        let iterations = ahead.iterations + refitted.iterations + whole.iterations;
+        Ok(Converged { fit, iterations, ..refitted })
     }
 
     /// Number of flanks that leave much unexplained within `within_px`.
-    fn straying(&self, samples: &[TemplateSample], within_px: f64) -> usize {
-        self.extents(samples, within_px).filter(FlankExtent::strays).count()
+    fn inconsistent_flanks(&self, samples: &[TemplateSample], within_px: f64) -> usize {
+        self.extents(samples, within_px).filter(FlankExtent::is_inconsistent).count()
     }
 
     /// Whether one flank is fitted much less precisely than the other.
-    fn leans(&self, samples: &[TemplateSample]) -> bool {
+    fn is_one_sided(&self, samples: &[TemplateSample]) -> bool {
         let [left, right] = FLANK_PARTS.map(|flank| self.rms_px(samples, flank));
         left.max(right) > (LEANS * left.min(right)).max(LEANS_PX)
     }

@@ -37,9 +37,10 @@ impl ContourTracker {
         let expected = prediction.window.expected.vector;
         // The hand may also have stopped or reversed, and may have done more the longer it is
         // unseen.
-        let went_px = (expected - from.placement()).xy().norm();
-        let lately = if self.hand.is_back { LOST_REACH } else { 1.0 };
-        let reach_px = self.largeness() * half_length_px * (lately + missed as f64) + went_px;
+        let predicted_motion_px = (expected - from.placement()).xy().norm();
+        let reach_factor = if self.hand.is_back { LOST_REACH } else { 1.0 };
+        let reach_px = self.largeness() * half_length_px * (reach_factor + missed as f64)
+            + predicted_motion_px;
         let predicted = from.placed(&expected);
         let Selection { found, pushed_px, likeness } =
             self.find(frame, predicted, reach_px, Some(&prediction))?;
@@ -49,19 +50,19 @@ impl ContourTracker {
         let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
         let validation = self.validation(&accept, innovation);
         let innovation = innovation.map(Innovation::normalised_square);
-        let judgement = validation.judge(&found, likeness);
+        let validity = validation.judge(&found, likeness);
         let min_agreement =
             found.fit.map_or(accept.min_inliers, |fit| validation.min_agreement(&fit, likeness));
         let accept = AcceptOptions { min_inliers: min_agreement, ..accept };
-        if let (Ok(()), Some((dynamics, _))) = (judgement, followed) {
+        if let (Ok(()), Some((dynamics, _))) = (validity, followed) {
             let bend = self.bend(frame, &found)?;
             self.hand.bend_state = self.hand.bend_state.after(bend.as_ref(), &found);
             self.hand.shape = found.shape;
             self.hand.is_back = false;
-            let jumped = innovation.is_some_and(|square| square > self.surprise);
+            let is_surprising = innovation.is_some_and(|square| square > self.surprise);
             let before = prediction.dynamics.velocity();
             self.dynamics =
-                Some(if jumped { dynamics.with_velocity_reset(before) } else { dynamics });
+                Some(if is_surprising { dynamics.with_velocity_reset(before) } else { dynamics });
             let mut track = if self.hand.bend_state.is_bent() {
                 self.hold_bent(time_s, &found, &accept)
             } else {
@@ -91,7 +92,7 @@ impl ContourTracker {
             self.phase = Phase::Tracking { missed };
             Status::Tracking
         };
-        let mut track = track(time_s, status, &found, &accept, judgement.err());
+        let mut track = track(time_s, status, &found, &accept, validity.err());
         track.diagnostics.innovation = innovation;
         Ok(track)
     }
@@ -115,8 +116,8 @@ impl ContourTracker {
         self.hand.bent_frames += 1;
         // The template slides as the finger bends, and back again.
         self.motion_prior = MotionPrior::unknown();
-        let patience = self.hand.straight_frames.min(MOST_BENT_FRAMES);
-        let is_over = self.hand.bent_frames > patience;
+        let max_frames = self.hand.straight_frames.min(MOST_BENT_FRAMES);
+        let is_over = self.hand.bent_frames > max_frames;
         self.phase = if is_over {
             Phase::Lost { last: self.hand.remembered(found.shape), settled: 0 }
         } else {

@@ -56,8 +56,8 @@ impl GridSearch {
     /// Adds a sample of the contour.
     pub fn push(&mut self, sample: &PlacedSample) {
         let PlacedSample { position, normal } = sample;
-        let away = normal * (0.5 * self.half_width_px).max(CLEARANCE_PX);
-        self.pairs.push(Pair { inside: position - away, outside: position + away });
+        let offset = normal * (0.5 * self.half_width_px).max(CLEARANCE_PX);
+        self.pairs.push(Pair { inside: position - offset, outside: position + offset });
     }
 
     /// The pixels that score the contour in its present place.
@@ -75,20 +75,20 @@ impl GridSearch {
         let spacing_px = SPACING * self.half_width_px.max(CLEARANCE_PX);
         let steps = (reach_px / spacing_px).ceil().clamp(1.0, MOST_STEPS) as i32;
         let step_px = reach_px / f64::from(steps);
-        let mut best = self.judge(frame, appearance, Vector2::zeros());
+        let mut best = self.score(frame, appearance, Vector2::zeros());
         for i in -steps..=steps {
             for j in -steps..=steps {
                 let by_px = Vector2::new(f64::from(i), f64::from(j)) * step_px;
-                let judged = self.judge(frame, appearance, by_px);
-                if judged.separation > best.separation {
-                    best = judged;
+                let candidate = self.score(frame, appearance, by_px);
+                if candidate.separation > best.separation {
+                    best = candidate;
                 }
             }
         }
         best
     }
 
-    fn judge(
+    fn score(
         &self,
         frame: &Frame<'_>,
         appearance: &HistogramModel,

@@ -159,8 +159,8 @@ impl Hand {
 
     /// Leaves out a thumb that was not seen for `most_missed` frames: it would hide the finger.
     pub(super) fn count_thumb(&mut self, found: &FitResult, most_missed: usize) {
-        let seen = found.fit.is_some_and(|f| f.shape.names.len() == RIBBON_DOF);
-        self.thumb_missed = if seen { 0 } else { self.thumb_missed + 1 };
+        let is_thumb_seen = found.fit.is_some_and(|f| f.shape.names.len() == RIBBON_DOF);
+        self.thumb_missed = if is_thumb_seen { 0 } else { self.thumb_missed + 1 };
         if self.thumb_missed >= most_missed && matches!(self.shape, Shape::Ribbon(_)) {
             self.kind.has_thumb = false;
         }
@@ -183,8 +183,8 @@ impl Hand {
                 if let Ok(space) = Ribbon::<RIBBON_DOF>::about(x, &measure) {
                     let pose = space.pose(x);
                     let placed = self.bands(samples).iter().map(|s| (s, pose.place(s)));
-                    let seen = placed.filter(|(s, p)| !pose.is_hidden(s, p));
-                    seen.for_each(|(s, p)| each(s.part(), p));
+                    let visible = placed.filter(|(s, p)| !pose.is_hidden(s, p));
+                    visible.for_each(|(s, p)| each(s.part(), p));
                 }
             }
         }
@@ -246,7 +246,7 @@ impl Hand {
 
     /// Whether the last accepted fit has representative residuals: it is that of a whole hand, or
     /// of one that was never seen whole.
-    pub(super) fn shows_what_is_usual(&self) -> bool {
+    pub(super) fn has_usual_residuals(&self) -> bool {
         self.partly_frames == 0 || !self.is_known_whole()
     }
 
@@ -264,7 +264,7 @@ impl Hand {
     /// Updates the usual residual scale by an accepted fit, unless an object may cover a hand that
     /// is known whole: some of its edges are the object's.
     pub(super) fn learn_usual(&mut self, found: &FitResult) {
-        if let Some(fit) = found.fit.filter(|_| self.shows_what_is_usual()) {
+        if let Some(fit) = found.fit.filter(|_| self.has_usual_residuals()) {
             self.usual_px += USUAL_RATE * (fit.residual_rms_px - self.usual_px);
         }
     }
@@ -275,7 +275,7 @@ impl Hand {
         if is_off(Mechanism::UnusualScatter) {
             return 0.0;
         }
-        if self.shows_what_is_usual() {
+        if self.has_usual_residuals() {
             return 0.0;
         }
         (fit.residual_rms_px.powi(2) - self.most_scale_px().powi(2)).max(0.0).sqrt()
@@ -295,8 +295,8 @@ impl Hand {
     /// covers it makes it neither wider nor slimmer, but the dimensions may change the longer that
     /// lasts.
     pub(super) fn slack(&self) -> f64 {
-        let since = self.partly_frames as f64 / MOST_COVERED_FRAMES as f64;
-        (COVERED_SLACK + (1.0 - COVERED_SLACK) * since).min(1.0)
+        let covered_part = self.partly_frames as f64 / MOST_COVERED_FRAMES as f64;
+        (COVERED_SLACK + (1.0 - COVERED_SLACK) * covered_part).min(1.0)
     }
 
     /// The search model of the hand in a frame.

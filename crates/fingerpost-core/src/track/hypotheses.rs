@@ -68,8 +68,8 @@ impl Hypothesis {
     /// Score: own + [`UNLIKE_WEIGHT`] (explained − own) − cost. Edges whose inside does not match
     /// the appearance model may be those of an occluding object.
     fn score(&self) -> f64 {
-        let others = (self.found.explained() - self.own).max(0.0);
-        self.own + UNLIKE_WEIGHT * others - self.cost
+        let unmatched = (self.found.explained() - self.own).max(0.0);
+        self.own + UNLIKE_WEIGHT * unmatched - self.cost
     }
 }
 
@@ -89,7 +89,7 @@ impl HypothesisRanking {
     }
 
     /// Adds the next hypothesis; of equal scores the last one is the best.
-    fn or(&mut self, hypothesis: Hypothesis) {
+    fn add(&mut self, hypothesis: Hypothesis) {
         let is_better = hypothesis.score() >= self.best.score();
         let other = self.keep_better(hypothesis, is_better);
         let explained =
@@ -108,8 +108,8 @@ impl HypothesisRanking {
 
 impl ContourTracker {
     /// Finds the hand near a predicted shape. Its edges are usually near and sharp. If they explain
-    /// too little of the contour, or the motion surprises, the hand may have continued as before
-    /// and be partly covered, or may be elsewhere; further hypotheses are then tried. The
+    /// too little of the contour, or the motion is improbable, the hand may have continued as
+    /// before and be partly covered, or may be elsewhere; further hypotheses are then tried. The
     /// hypothesis with the highest [score](Hypothesis::score) is selected.
     pub(super) fn find(
         &mut self,
@@ -121,7 +121,7 @@ impl ContourTracker {
         let path = (predicted, Scale::Fine, prediction.map(|f| f.window), EdgeCue::HandEdges);
         let near = self.fit_stages(frame, path)?;
         let pushed_px = self.goes_on_px(frame, &near.shape)?;
-        if self.is_plain(&near, prediction)? && pushed_px == 0.0 {
+        if self.is_sufficient(&near, prediction)? && pushed_px == 0.0 {
             return match prediction {
                 Some(_) => Ok(Selection { found: near, pushed_px, likeness: 1.0 }),
                 None => self.selection(frame, near, pushed_px),
@@ -140,7 +140,7 @@ impl ContourTracker {
         // An object that covers the tip may have pushed the fit back over several frames.
         if let Some(from) = uncovered {
             let path = (from, Scale::Fine, None, EdgeCue::HandEdges);
-            ranking.or(self.evaluate_path(frame, path, prediction)?);
+            ranking.add(self.evaluate_path(frame, path, prediction)?);
         }
         self.try_in_grey(frame, &mut ranking, approached, prediction)?;
         self.try_in_another_light(frame, &mut ranking, predicted, prediction)?;
@@ -173,7 +173,7 @@ impl ContourTracker {
             && self.hand.is_known_whole()
         {
             let path = self.constant_velocity_path(predicted, prediction, EdgeCue::HandEdges);
-            ranking.or(self.evaluate_path(frame, path, Some(prediction))?);
+            ranking.add(self.evaluate_path(frame, path, Some(prediction))?);
         }
         Ok(())
     }
@@ -205,14 +205,14 @@ impl ContourTracker {
         if is_off(Mechanism::Approach) {
             return Ok(());
         }
-        let smeared = self.evaluate_path(
+        let blurred = self.evaluate_path(
             frame,
             (approached, Scale::Coarse, None, EdgeCue::HandEdges),
             prediction,
         )?;
-        let sharp = (smeared.found.shape, Scale::Fine, None, EdgeCue::HandEdges);
-        ranking.or(smeared);
-        ranking.or(self.evaluate_path(frame, sharp, prediction)?);
+        let sharp_path = (blurred.found.shape, Scale::Fine, None, EdgeCue::HandEdges);
+        ranking.add(blurred);
+        ranking.add(self.evaluate_path(frame, sharp_path, prediction)?);
         Ok(())
     }
 
@@ -232,15 +232,16 @@ impl ContourTracker {
             return Ok(());
         }
         let TrackerOptions { acquire, track, .. } = &self.options;
-        let (enough, least) = (acquire.accept.min_inliers, track.accept.min_inliers);
+        let (acquire_inliers, track_inliers) =
+            (acquire.accept.min_inliers, track.accept.min_inliers);
         let is_mixed = self.hand.is_mixed() && self.hand.shaded.is_none();
-        if is_mixed && ranking.best.score() < enough {
+        if is_mixed && ranking.best.score() < acquire_inliers {
             let grey = self.evaluate_path(
                 frame,
                 (approached, Scale::Fine, None, EdgeCue::GreyEdges),
                 prediction,
             )?;
-            let is_better = grey.score() > ranking.best.score().max(least);
+            let is_better = grey.score() > ranking.best.score().max(track_inliers);
             ranking.keep_better(grey, is_better);
         }
         Ok(())
@@ -263,7 +264,7 @@ impl ContourTracker {
         {
             let path = self.constant_velocity_path(predicted, prediction, EdgeCue::AnyEdge);
             let relit = self.evaluate_path(frame, path, Some(prediction))?;
-            let is_better = self.is_plain(&relit.found, Some(prediction))?;
+            let is_better = self.is_sufficient(&relit.found, Some(prediction))?;
             ranking.keep_better(relit, is_better);
         }
         Ok(())
@@ -277,10 +278,10 @@ impl ContourTracker {
         found: FitResult,
         pushed_px: f64,
     ) -> Result<Selection> {
-        let most = MOST * found.explained();
+        let expected = MOST * found.explained();
         let by_appearance = found.fit.is_some_and(|fit| fit.by_appearance);
-        let likeness = if by_appearance && most > 0.0 {
-            (self.own_share(frame, found.edges(), SUPPORT_PX)? / most).clamp(UNLIKE_WEIGHT, 1.0)
+        let likeness = if by_appearance && expected > 0.0 {
+            (self.own_share(frame, found.edges(), SUPPORT_PX)? / expected).clamp(UNLIKE_WEIGHT, 1.0)
         } else {
             1.0
         };
@@ -310,8 +311,9 @@ impl ContourTracker {
             Some(_) => self.motion(&found, prediction)?.cost,
             None => f64::INFINITY,
         };
-        let beyond = self.goes_on_px(frame, &found.shape)? / self.hand.measure.length_px;
-        let own = self.own_share(frame, found.edges(), self.hand.own_within_px())? / (1.0 + beyond);
+        let extension = self.goes_on_px(frame, &found.shape)? / self.hand.measure.length_px;
+        let own =
+            self.own_share(frame, found.edges(), self.hand.own_within_px())? / (1.0 + extension);
         Ok(Hypothesis { found, path, own, cost })
     }
 
@@ -333,18 +335,22 @@ impl ContourTracker {
         let shaft = Shaft::of_band(x, self.hand.measure.length_px);
         let search_model = self.hand.search_model(frame, EdgeCue::LogRatio, self.options.polarity);
         let Some(appearance) = search_model.cue.appearance() else { return Ok(0.0) };
-        let shown =
+        let search_frame =
             self.convergence.shown_about(frame, search_model.mixture, shaft.places_ahead(), 1.0)?;
-        Ok(shaft.goes_on_px(&shown, appearance))
+        Ok(shaft.goes_on_px(&search_frame, appearance))
     }
 
-    /// Whether a fit needs no further hypotheses: it explains nearly all of the contour, by a
-    /// motion that does not surprise.
-    fn is_plain(&self, found: &FitResult, prediction: Option<&MotionPrediction>) -> Result<bool> {
+    /// Whether a fit needs no further hypotheses: it explains nearly all of the contour, and its
+    /// motion is not improbable.
+    fn is_sufficient(
+        &self,
+        found: &FitResult,
+        prediction: Option<&MotionPrediction>,
+    ) -> Result<bool> {
         Ok(self.hand.is_whole(found) && !self.motion(found, prediction)?.surprises)
     }
 
-    /// The cost of the motion to a fit, and whether it surprises.
+    /// The cost of the motion to a fit, and whether it is improbable.
     fn motion(
         &self,
         found: &FitResult,
@@ -401,13 +407,14 @@ impl ContourTracker {
             grid_search.clear(hand.acquired[3]);
             let turned = about.placed(&placement);
             hand.outline(&turned, samples, |_, placed| grid_search.push(&placed));
-            let shown = convergence.shown_about(
+            let search_frame = convergence.shown_about(
                 frame,
                 search_model.mixture,
                 grid_search.pixels(),
                 reach_px,
             )?;
-            let ShiftScore { by_px, separation } = grid_search.best(&shown, appearance, reach_px);
+            let ShiftScore { by_px, separation } =
+                grid_search.best(&search_frame, appearance, reach_px);
             if separation > best.0 {
                 placement[0] += by_px.x;
                 placement[1] += by_px.y;

@@ -127,8 +127,8 @@ impl TemplateInitialiser<'_> {
                     }
                 }
             }
-            let led = self.inside(convergence, frame, &initial, polarity)?;
-            self.consider(&mut best, convergence, frame, &led, polarity)?;
+            let by_silhouette = self.fit_by_silhouette(convergence, frame, &initial, polarity)?;
+            self.consider(&mut best, convergence, frame, &by_silhouette, polarity)?;
             // The other angles serve a hand that is held up at a wrong angle.
             if self.score(&best.finger) >= CLEAR * samples {
                 break;
@@ -212,34 +212,36 @@ impl TemplateInitialiser<'_> {
         let reach_px = (self.options.acquire.reach_px(self.initial[3]) / 2.0).max(1.0);
         let near_px = (NEAR_WIDTHS * from[3]).max(MIN_HALF_LENGTH_PX).min(reach_px);
         let least = self.options.acquire.accept.min_inliers;
-        let (_, led_score) =
-            self.judged(convergence, frame, from, kind, EdgeCue::LogRatio, reach_px)?;
-        let mut edges = self.judged(convergence, frame, from, kind, EdgeCue::AnyEdge, reach_px)?;
+        let (_, appearance_quality) =
+            self.rated_fit(convergence, frame, from, kind, EdgeCue::LogRatio, reach_px)?;
+        let mut edges =
+            self.rated_fit(convergence, frame, from, kind, EdgeCue::AnyEdge, reach_px)?;
         let mut searched_px = reach_px;
         if from[3] <= SLIM_PX && edges.0.hand.fit.is_none_or(|fit| fit.agreement < least) {
             searched_px = near_px;
-            edges = self.judged(convergence, frame, from, kind, EdgeCue::AnyEdge, near_px)?;
+            edges = self.rated_fit(convergence, frame, from, kind, EdgeCue::AnyEdge, near_px)?;
         }
         if frame.colour().is_none() {
             let close_px = MIN_HALF_LENGTH_PX;
-            let close = self.judged(convergence, frame, from, kind, EdgeCue::AnyEdge, close_px)?;
+            let close =
+                self.rated_fit(convergence, frame, from, kind, EdgeCue::AnyEdge, close_px)?;
             edges = if close.0.hand.explains_finger() >= CLOSE_SEEN && close.1 >= edges.1 {
                 close
             } else {
                 // Repeated, so that the last search is that of the best fit.
-                self.judged(convergence, frame, from, kind, EdgeCue::AnyEdge, searched_px)?
+                self.rated_fit(convergence, frame, from, kind, EdgeCue::AnyEdge, searched_px)?
             };
         }
-        if led_score > MIN_SCORE_GAIN * edges.1 {
+        if appearance_quality > MIN_SCORE_GAIN * edges.1 {
             // Repeated, so that the last search is that of the best fit.
-            edges = self.judged(convergence, frame, from, kind, EdgeCue::LogRatio, reach_px)?;
+            edges = self.rated_fit(convergence, frame, from, kind, EdgeCue::LogRatio, reach_px)?;
         }
         Ok(edges.0)
     }
 
     /// A fit near an earlier one, by the appearance of its inside or by edges, with its
     /// [quality](Self::quality); 0 if it is no hand.
-    fn judged(
+    fn rated_fit(
         &self,
         convergence: &mut Convergence,
         frame: &Scene<'_>,
@@ -251,7 +253,7 @@ impl TemplateInitialiser<'_> {
         let Kind { has_thumb, polarity } = kind;
         let has_thumb = has_thumb && edge_cue == EdgeCue::AnyEdge;
         let fitted_finger = if edge_cue == EdgeCue::LogRatio {
-            self.inside(convergence, frame, from, polarity)?
+            self.fit_by_silhouette(convergence, frame, from, polarity)?
         } else if has_thumb {
             self.whole(convergence, frame, from, half_px, polarity)?
         } else {
@@ -312,18 +314,24 @@ impl TemplateInitialiser<'_> {
         for _ in 0..LED_ROUNDS {
             let silhouette = Silhouette::of_band(&x);
             convergence.teach(&mut appearance, samples.len(), frame, &silhouette, (0.0, 1.0))?;
-            let led =
-                self.led(convergence, frame, &appearance, (&x, &fitted_finger.x), polarity)?;
-            if led.fit.is_none() {
+            let refitted = self.fit_by_appearance(
+                convergence,
+                frame,
+                &appearance,
+                (&x, &fitted_finger.x),
+                polarity,
+            )?;
+            if refitted.fit.is_none() {
                 break;
             }
-            x = led.x;
+            x = refitted.x;
             let separation = self.finger_separation(convergence, frame, &x);
-            let away_px = (x.fixed_rows::<2>(0) - fitted_finger.x.fixed_rows::<2>(0)).norm();
+            let displacement_px =
+                (x.fixed_rows::<2>(0) - fitted_finger.x.fixed_rows::<2>(0)).norm();
             let quality = best.0.explains_finger() * best.1;
-            let is_better = led.explains_finger() * separation > MIN_SCORE_GAIN * quality;
-            if is_better && away_px <= reach_px && self.is_plausible(&led, false) {
-                best = (led, separation);
+            let is_better = refitted.explains_finger() * separation > MIN_SCORE_GAIN * quality;
+            if is_better && displacement_px <= reach_px && self.is_plausible(&refitted, false) {
+                best = (refitted, separation);
             }
         }
         convergence.take_back(appearance);
@@ -333,7 +341,7 @@ impl TemplateInitialiser<'_> {
     /// The finger that the appearance of the inside of a silhouette leads to. The hand is held up
     /// to the template, so that most of the silhouette's pixels belong to the hand, even where the
     /// edges nearby do not.
-    fn inside(
+    fn fit_by_silhouette(
         &self,
         convergence: &mut Convergence,
         frame: &Scene<'_>,
@@ -343,17 +351,24 @@ impl TemplateInitialiser<'_> {
         let mut appearance = convergence.lend_appearance(frame);
         // First it only moves and turns: its width is that of the pixels taken for inside.
         let reach_px = self.options.acquire.reach_px(self.initial[3]);
-        let mut led = Converged::at(*from);
+        let mut fitted = Converged::at(*from);
         if self.teach_at(convergence, frame, &mut appearance, from)?
             && let Some(log_ratios) = appearance.search_model(frame, EdgeCue::LogRatio, polarity)
         {
-            led = self.explained::<3>(convergence, frame, (from, from), reach_px, log_ratios)?;
+            fitted =
+                self.bands_with_model::<3>(convergence, frame, (from, from), reach_px, log_ratios)?;
         }
-        if led.fit.is_some() && self.teach_at(convergence, frame, &mut appearance, &led.x)? {
-            led = self.led(convergence, frame, &appearance, (&led.x, from), polarity)?;
+        if fitted.fit.is_some() && self.teach_at(convergence, frame, &mut appearance, &fitted.x)? {
+            fitted = self.fit_by_appearance(
+                convergence,
+                frame,
+                &appearance,
+                (&fitted.x, from),
+                polarity,
+            )?;
         }
         convergence.take_back(appearance);
-        Ok(led)
+        Ok(fitted)
     }
 
     /// Teaches an empty appearance model the inside and the outside of a finger; false if these do
@@ -374,7 +389,7 @@ impl TemplateInitialiser<'_> {
     /// The fit that an appearance model leads to: by log-likelihood ratios from afar, then by edges
     /// that match the model, finally by edges alone, as for any other fit: appearance is no
     /// evidence for a hand.
-    fn led(
+    fn fit_by_appearance(
         &self,
         convergence: &mut Convergence,
         frame: &Scene<'_>,
@@ -384,12 +399,12 @@ impl TemplateInitialiser<'_> {
     ) -> Result<Converged<RIBBON_DOF>> {
         let reach_px = self.options.acquire.reach_px(self.initial[3]);
         let near_px = MIN_HALF_LENGTH_PX;
-        let mut led = Converged::at(*from);
+        let mut fitted = Converged::at(*from);
         let Some(log_ratios) = appearance.search_model(frame, EdgeCue::LogRatio, polarity) else {
-            return Ok(led);
+            return Ok(fitted);
         };
         let Some(edges) = appearance.search_model(frame, EdgeCue::HandEdges, polarity) else {
-            return Ok(led);
+            return Ok(fitted);
         };
         // For an appearance model learned from one frame, grey edges gain nothing.
         let edges = SearchModel { in_grey: None, ..edges };
@@ -397,13 +412,18 @@ impl TemplateInitialiser<'_> {
         for (half_px, search_model) in
             [(reach_px, log_ratios), (near_px, edges), (near_px, edges_alone)]
         {
-            led =
-                self.explained::<5>(convergence, frame, (&led.x, believed), half_px, search_model)?;
-            if led.fit.is_none() {
+            fitted = self.bands_with_model::<5>(
+                convergence,
+                frame,
+                (&fitted.x, believed),
+                half_px,
+                search_model,
+            )?;
+            if fitted.fit.is_none() {
                 break;
             }
         }
-        Ok(led)
+        Ok(fitted)
     }
 
     /// Separation of the finger that was fitted last; see [`AppearanceModel::finger_separation`].
@@ -443,11 +463,12 @@ impl TemplateInitialiser<'_> {
         let tip = |x: &RibbonVector| {
             Axis::of_finger(Point2::new(x[0], x[1]), x[2], 0.5 * self.measure.length_px).tip
         };
-        let away = (tip(&fitted_finger.x) - tip(self.initial)).norm()
+        let distance = (tip(&fitted_finger.x) - tip(self.initial)).norm()
             / (PLACE_SIGMA * self.measure.length_px);
         let turned = (fitted_finger.x[2] - self.initial[2]) / ANGLE_SIGMA_RAD;
         let visible = finger_samples(self.samples).len() as f64;
-        fitted_finger.support() as f64 - DISTANCE_WEIGHT * visible * (away * away + turned * turned)
+        fitted_finger.support() as f64
+            - DISTANCE_WEIGHT * visible * (distance * distance + turned * turned)
     }
 
     /// Edge polarities to try. A hand before an even background has edges of one polarity, and is
@@ -513,11 +534,11 @@ impl TemplateInitialiser<'_> {
         polarity: Polarity,
     ) -> Result<Converged<RIBBON_DOF>> {
         let search_model = SearchModel::unknown(polarity);
-        self.explained::<D>(convergence, frame, (x, believed), half_length_px, search_model)
+        self.bands_with_model::<D>(convergence, frame, (x, believed), half_length_px, search_model)
     }
 
     /// The same with a search model of the hand.
-    fn explained<const D: usize>(
+    fn bands_with_model<const D: usize>(
         &self,
         convergence: &mut Convergence,
         frame: &Scene<'_>,

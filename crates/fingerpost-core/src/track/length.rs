@@ -68,7 +68,8 @@ impl ContourTracker {
         for _ in 0..ROUNDS {
             let Shape::Ribbon(x) = self.hand.shape else { break };
             let scatter_px = fit.residual_rms_px;
-            let Some(length_px) = self.other_length(frame, &x, &proportions, scatter_px)? else {
+            let Some(length_px) = self.corrected_length(frame, &x, &proportions, scatter_px)?
+            else {
                 break;
             };
             let before = self.hand.clone();
@@ -89,11 +90,11 @@ impl ContourTracker {
         Ok(true)
     }
 
-    /// Length that the template should have \[px\]; `None` if that is its own, as far as measured.
-    /// Colours alone may be biased by objects like the hand behind it, edges alone by other edges
-    /// in its place. The template becomes no shorter than the longer of the two, and no longer
-    /// again than the shorter.
-    fn other_length(
+    /// Corrected length of the template \[px\]; `None` if its present length agrees with the
+    /// measurements. Colours alone may be biased by objects like the hand behind it, edges alone by
+    /// other edges in its place. The template is shortened at most to the longer of the two, and
+    /// lengthened again at most to the shorter and to its initial length.
+    fn corrected_length(
         &mut self,
         frame: &Scene<'_>,
         x: &RibbonVector,
@@ -101,30 +102,30 @@ impl ContourTracker {
         scatter_px: f64,
     ) -> Result<Option<f64>> {
         let Proportions { half_width, flank_start, .. } = *proportions;
-        let (half_width_px, now_px) = (x[3], self.hand.measure.length_px);
-        let Some(shown_px) = self.shown_px(frame, x)? else { return Ok(None) };
+        let (half_width_px, present_px) = (x[3], self.hand.measure.length_px);
+        let Some(visible_px) = self.visible_length_px(frame, x)? else { return Ok(None) };
         let flank_px = self.flanks_px(frame, x, HALF_LENGTH - half_width, scatter_px)?;
-        let by_colours_px = shown_px / (HALF_LENGTH - flank_start);
+        let by_colours_px = visible_px / (HALF_LENGTH - flank_start);
         let by_edges_px = flank_px / (HALF_LENGTH - half_width - flank_start);
         let most_px = by_colours_px.max(by_edges_px).max(SHORTEST * half_width_px);
         let least_px = by_colours_px.min(by_edges_px).min(self.initial.measure.length_px);
-        Ok(if now_px > AS_LONG * most_px {
+        Ok(if present_px > AS_LONG * most_px {
             Some(most_px)
         } else {
-            Some(least_px).filter(|px| *px > AS_LONG * now_px)
+            Some(least_px).filter(|px| *px > AS_LONG * present_px)
         })
     }
 
     /// Length from its tip back over which the finger shows its own colours, the shorter of both
     /// sides \[px\]; `None` without an appearance.
-    fn shown_px(&mut self, frame: &Scene<'_>, x: &RibbonVector) -> Result<Option<f64>> {
+    fn visible_length_px(&mut self, frame: &Scene<'_>, x: &RibbonVector) -> Result<Option<f64>> {
         let axis = self.ribbon::<RIBBON_DOF>(x)?.pose(x).axis();
         let shaft = Shaft { axis, half_width_px: x[3], length_px: BACK * x[3] };
         let search_model = self.hand.search_model(frame, EdgeCue::LogRatio, self.options.polarity);
         let Some(appearance) = search_model.cue.appearance() else { return Ok(None) };
-        let shown =
+        let search_frame =
             self.convergence.shown_about(frame, search_model.mixture, shaft.corners(), 1.0)?;
-        let [right, left] = shaft.shows_px(&shown, appearance);
+        let [right, left] = shaft.shows_px(&search_frame, appearance);
         Ok(Some(right.min(left)))
     }
 
@@ -149,8 +150,8 @@ impl ContourTracker {
         let (mut sums, mut best, mut ends_px) = ([0.0; 2], [0.0; 2], [0.0; 2]);
         for (i, offset_px) in self.convergence.offsets(frame, &space, x, &stage)? {
             let (flank, back_px) = (i / STATIONS, step_px * ((i % STATIONS) as f64 + 0.5));
-            let goes_on = offset_px.is_some_and(|px| px.abs() <= within_px);
-            sums[flank] += if goes_on { 1.0 } else { -1.0 };
+            let is_on_flank = offset_px.is_some_and(|px| px.abs() <= within_px);
+            sums[flank] += if is_on_flank { 1.0 } else { -1.0 };
             if sums[flank] > best[flank] {
                 (best[flank], ends_px[flank]) = (sums[flank], back_px);
             }
@@ -165,7 +166,7 @@ impl ContourTracker {
         x: &RibbonVector,
         measure: BandMeasure,
     ) -> Result<FitResult> {
-        let from = supported_by(x, &self.hand.measure, &measure);
+        let from = with_length(x, &self.hand.measure, &measure);
         (self.hand.measure, self.hand.acquired) = (measure, from);
         let held = self.held::<5>(&from, SLACK);
         let plan = SearchPlan::edges(near_px(x, MIN_HALF_LENGTH_PX));
@@ -189,7 +190,7 @@ fn near_px(x: &RibbonVector, least_px: f64) -> f64 {
 }
 
 /// Shape vector of a template of another length: the centre of its round end keeps its place.
-fn supported_by(x: &RibbonVector, from: &BandMeasure, to: &BandMeasure) -> RibbonVector {
+fn with_length(x: &RibbonVector, from: &BandMeasure, to: &BandMeasure) -> RibbonVector {
     let ahead_px = from.round_end_px - to.round_end_px;
     let mut moved = *x;
     moved[0] += ahead_px * x[2].cos();
@@ -204,7 +205,7 @@ mod tests {
     use super::{MAX_HALF_LENGTH_PX, MIN_HALF_LENGTH_PX, NEAR, RibbonVector, near_px};
 
     #[test]
-    fn edges_are_looked_for_no_farther_than_the_longest_search_line() {
+    fn the_search_distance_is_at_most_the_longest_search_line() {
         let hand = |half_width_px: f64| {
             let mut x = RibbonVector::zeros();
             x[3] = half_width_px;
@@ -215,8 +216,8 @@ mod tests {
         assert!((near_px(&hand(40.0), 3.0) - NEAR * 40.0).abs() < 1e-12);
         assert!((near_px(&hand(40.0), 90.0) - 90.0).abs() < 1e-12);
         // A hand that fills the image, and edges that scatter as far as the options allow.
-        for far in [near_px(&hand(1e3), 0.0), near_px(&hand(10.0), 3e4)] {
-            assert!((far - longest_px).abs() < 1e-12, "{far}");
+        for search_px in [near_px(&hand(1e3), 0.0), near_px(&hand(10.0), 3e4)] {
+            assert!((search_px - longest_px).abs() < 1e-12, "{search_px}");
         }
     }
 }

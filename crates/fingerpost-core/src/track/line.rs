@@ -60,8 +60,8 @@ impl FingerLine {
     fn expressed_along(self, by_px: f64) -> Self {
         let anchor = self.axis.anchor + self.axis.direction() * by_px;
         // Offset at the new anchor: offset + by_px · angle.
-        let there = Matrix2::new(1.0, by_px, 0.0, 1.0);
-        let covariance = there * self.covariance * there.transpose();
+        let to_anchor = Matrix2::new(1.0, by_px, 0.0, 1.0);
+        let covariance = to_anchor * self.covariance * to_anchor.transpose();
         let stretch = self.stretch.beside(by_px);
         Self { axis: Axis { anchor, ..self.axis }, stretch, covariance, ..self }
     }
@@ -108,19 +108,19 @@ impl FingerLine {
         Self { covariance: self.covariance + added, ..self }
     }
 
-    /// The same line, with a covariance that allows for a mismatch of the measured shape: `unlike`
-    /// is (half-width \[px\], taper \[1\]) measured minus known, `expected` its covariance. Axis
-    /// and width are mean and half-difference of the same two flanks. A flank displaced as a whole
-    /// leaves no scatter of residuals; it moves and turns the axis by as much as it changes
-    /// half-width and taper. Differences within the 90 % quantile of χ² add nothing.
+    /// The same line, with a covariance that allows for a mismatch of the measured shape:
+    /// `mismatch` is (half-width \[px\], taper \[1\]) measured minus known, `expected` its
+    /// covariance. Axis and width are mean and half-difference of the same two flanks. A flank
+    /// displaced as a whole leaves no scatter of residuals; it moves and turns the axis by as much
+    /// as it changes half-width and taper. Differences within the 90 % quantile of χ² add nothing.
     pub(super) fn with_shape_mismatch(
         self,
-        unlike: &Vector2<f64>,
+        mismatch: &Vector2<f64>,
         expected: &Matrix2<f64>,
     ) -> Self {
         let Some(weight) = expected.try_inverse() else { return self };
-        let by_chance = CHI2_2DOF_90 / unlike.dot(&(weight * unlike));
-        let added = unlike.map(|s| (1.0 - by_chance).max(0.0) * s * s);
+        let quantile_ratio = CHI2_2DOF_90 / mismatch.dot(&(weight * mismatch));
+        let added = mismatch.map(|s| (1.0 - quantile_ratio).max(0.0) * s * s);
         Self { covariance: self.covariance + Matrix2::from_diagonal(&added), ..self }
     }
 
@@ -152,8 +152,8 @@ impl FingerLine {
         let Some(weight) = (covariance + other.covariance).try_inverse() else { return self };
         let gain = covariance * weight;
         let step = gain * difference;
-        let contradiction = difference.dot(&(weight * difference)) / CHI2_2DOF_90;
-        let covariance = (1.0 + COMMON) * contradiction.max(1.0) * gain * other.covariance;
+        let excess = difference.dot(&(weight * difference)) / CHI2_2DOF_90;
+        let covariance = (1.0 + COMMON) * excess.max(1.0) * gain * other.covariance;
         Self { covariance, source: LineSource::Both, ..self.moved(&step) }
     }
 
@@ -177,7 +177,7 @@ pub enum LineSource {
     Both,
 }
 
-// The combination of lines is private; its truth is arithmetic.
+// The combination of lines is private; the expected values are arithmetic.
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn a_contour_is_doubted_by_as_much_as_the_flanks_lie_elsewhere() {
+    fn the_disagreement_of_the_flanks_is_added_to_the_covariance() {
         let [axis, other] = axes();
         let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
         let line = FingerLine::of_contour(&axis, &covariance);
@@ -208,17 +208,17 @@ mod tests {
     }
 
     #[test]
-    fn a_line_told_elsewhere_is_told_for_the_same_stretch() {
+    fn a_line_expressed_elsewhere_keeps_its_segment() {
         let [axis, other] = axes();
         let line = FingerLine::of_contour(&axis, &Matrix2::identity());
         let at = |line: &FingerLine, px: f64| line.axis.anchor + line.axis.direction() * px;
-        let there = line.expressed_along(7.0);
+        let moved = line.expressed_along(7.0);
         for (expressed, before) in [
-            (there.stretch.from_px, line.stretch.from_px),
-            (there.stretch.to_px, line.stretch.to_px),
+            (moved.stretch.from_px, line.stretch.from_px),
+            (moved.stretch.to_px, line.stretch.to_px),
         ] {
             assert!(
-                (at(&there, expressed) - at(&line, before)).norm() < 1e-12,
+                (at(&moved, expressed) - at(&line, before)).norm() < 1e-12,
                 "{expressed} {before}"
             );
         }
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn looks_contradict_each_other_beyond_what_both_allow() {
+    fn estimates_contradict_each_other_beyond_their_variances() {
         let [axis, other] = axes();
         let line = |axis: &Axis, sigma: f64| {
             FingerLine::of_contour(axis, &(Matrix2::new(4.0, 0.0, 0.0, 0.01) * (sigma * sigma)))
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn what_covers_a_finger_leads_astray_at_its_ends() {
+    fn a_bias_at_the_ends_adds_variance_to_offset_and_angle() {
         let [axis, _] = axes();
         let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
         let line = FingerLine::of_contour(&axis, &covariance);
@@ -255,36 +255,37 @@ mod tests {
     }
 
     #[test]
-    fn a_flank_that_is_wrong_as_a_whole_shows_in_the_width() {
+    fn a_displaced_flank_adds_its_shift_of_the_axis_to_the_covariance() {
         let [axis, _] = axes();
         let line = FingerLine::of_contour(&axis, &Matrix2::new(0.04, 1e-4, 1e-4, 1e-4));
         // Flanks lie at ±(w + τ p) about the axis. One of them is displaced by 0.8 px and 0.06 rad.
         let [right, left] = [[0.8, 0.06], [0.0, 0.0]];
-        let axis_off = [0, 1].map(|k| 0.5 * (right[k] - left[k]));
-        let unlike = Vector2::from([0, 1].map(|k| 0.5 * (right[k] + left[k])));
-        let with_disagreement =
-            line.with_shape_mismatch(&unlike, &(Matrix2::new(4.0, 0.0, 0.0, 0.02) * 1e-6));
-        let added = with_disagreement.covariance - line.covariance;
-        assert!((added.diagonal().map(f64::sqrt) - Vector2::from(axis_off)).norm() < 1e-3);
-        assert_eq!(with_disagreement.axis, line.axis);
+        let axis_error = [0, 1].map(|k| 0.5 * (right[k] - left[k]));
+        let mismatch = Vector2::from([0, 1].map(|k| 0.5 * (right[k] + left[k])));
+        let with_mismatch =
+            line.with_shape_mismatch(&mismatch, &(Matrix2::new(4.0, 0.0, 0.0, 0.02) * 1e-6));
+        let added = with_mismatch.covariance - line.covariance;
+        assert!((added.diagonal().map(f64::sqrt) - Vector2::from(axis_error)).norm() < 1e-3);
+        assert_eq!(with_mismatch.axis, line.axis);
     }
 
     #[test]
-    fn a_width_that_differs_by_chance_is_no_doubt() {
+    fn a_width_difference_within_the_quantile_adds_no_variance() {
         let [axis, _] = axes();
         let line = FingerLine::of_contour(&axis, &Matrix2::new(0.04, 1e-4, 1e-4, 1e-4));
         let expected = Matrix2::new(0.04, 0.0, 0.0, 4e-4);
-        let unlike = |sigmas: f64| Vector2::new(-0.2 * sigmas, 0.0);
+        let mismatch = |sigmas: f64| Vector2::new(-0.2 * sigmas, 0.0);
         for sigmas in [0.0, 1.0, 2.1] {
-            assert_eq!(line.with_shape_mismatch(&unlike(sigmas), &expected), line);
+            assert_eq!(line.with_shape_mismatch(&mismatch(sigmas), &expected), line);
         }
         // Beyond the quantile the added variance grows linearly: 3² − 4.6 times the variance.
-        let added = line.with_shape_mismatch(&unlike(3.0), &expected).covariance - line.covariance;
+        let added =
+            line.with_shape_mismatch(&mismatch(3.0), &expected).covariance - line.covariance;
         assert!((added[(0, 0)] / 0.04 - (9.0 - CHI2_2DOF_90)).abs() < 1e-9, "{added}");
     }
 
     #[test]
-    fn two_looks_are_compared_beside_the_first() {
+    fn two_estimates_are_compared_at_the_first_anchor() {
         let [axis, other] = axes();
         let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
         let (difference, variance) =
@@ -293,9 +294,9 @@ mod tests {
         let expected = Vector2::new(2.0 - 5.0 * 0.1_f64.tan(), 0.1);
         assert!((difference - expected).norm() < 0.03, "{difference}");
         // Its offset is expressed 5 px back; half of the errors is common.
-        let back = Matrix2::new(1.0, -5.0 * 0.1_f64.cos(), 0.0, 1.0);
-        let there = back * covariance * back.transpose();
-        assert!((variance - 0.5 * (covariance + there)).norm() < 1e-4, "{variance}");
+        let to_anchor = Matrix2::new(1.0, -5.0 * 0.1_f64.cos(), 0.0, 1.0);
+        let expressed = to_anchor * covariance * to_anchor.transpose();
+        assert!((variance - 0.5 * (covariance + expressed)).norm() < 1e-4, "{variance}");
     }
 
     fn inverse(m: Matrix2<f64>) -> Matrix2<f64> {
@@ -310,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn two_looks_are_weighed_by_what_they_are_worth_wherever_their_anchors_are() {
+    fn two_estimates_are_weighted_by_information_wherever_their_anchors_are() {
         let axis = Axis::of_finger(Point2::new(10.0, 20.0), 3.1, 30.0);
         let other = Axis::of_finger(axis.anchor + axis.direction() * 8.0, 3.101, 22.0);
         let covariances =
@@ -320,19 +321,19 @@ mod tests {
         // Generalised least squares of (offset, angle) at the first anchor: the first line measures
         // 0, the second an offset 8 px further on.
         let design = [Matrix2::identity(), Matrix2::new(1.0, 8.0, 0.0, 1.0)];
-        let seen = [Vector2::zeros(), Vector2::new(0.0, 0.001)];
+        let observed = [Vector2::zeros(), Vector2::new(0.0, 0.001)];
         let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
         for k in 0..2 {
             let weight = design[k].transpose() * inverse(covariances[k]);
             information += weight * design[k];
-            right += weight * seen[k];
+            right += weight * observed[k];
         }
         let covariance = inverse(information);
-        let expressed = covariance * right;
-        let beside = joined.axis.anchor - axis.anchor;
-        assert!((axis.normal().dot(&beside) - expressed.x).abs() < 1e-6);
-        assert!(axis.direction().dot(&beside).abs() < 1e-9);
-        assert!((joined.axis.angle_rad - axis.angle_rad - expressed.y).abs() < 1e-9);
+        let estimate = covariance * right;
+        let displacement = joined.axis.anchor - axis.anchor;
+        assert!((axis.normal().dot(&displacement) - estimate.x).abs() < 1e-6);
+        assert!(axis.direction().dot(&displacement).abs() < 1e-9);
+        assert!((joined.axis.angle_rad - axis.angle_rad - estimate.y).abs() < 1e-9);
         assert!(((joined.axis.tip - joined.axis.anchor).norm() - 30.0).abs() < 1e-9);
         // They agree; half of their errors is common.
         assert!((joined.covariance / 1.5 - covariance).norm() < 1e-6 * covariance.norm());
@@ -340,18 +341,18 @@ mod tests {
     }
 
     #[test]
-    fn two_looks_that_contradict_each_other_are_worth_less() {
+    fn two_contradicting_estimates_have_a_larger_variance() {
         let [axis, other] = axes();
         let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
-        let agreed = pixels(&axis, covariance).joined(&pixels(&axis, covariance));
-        assert!((agreed.axis.angle_rad - axis.angle_rad).abs() < 1e-12);
-        let torn = pixels(&axis, covariance).joined(&pixels(&other, covariance));
+        let agreeing = pixels(&axis, covariance).joined(&pixels(&axis, covariance));
+        assert!((agreeing.axis.angle_rad - axis.angle_rad).abs() < 1e-12);
+        let contradicting = pixels(&axis, covariance).joined(&pixels(&other, covariance));
         // Midway between both, across the wrap of the angle.
-        let turn = (torn.axis.angle_rad - 3.15).sin();
-        assert!(turn.abs() < 1e-2, "{turn}");
-        let spread = (torn.covariance - agreed.covariance).symmetric_eigenvalues();
+        let angle_error = (contradicting.axis.angle_rad - 3.15).sin();
+        assert!(angle_error.abs() < 1e-2, "{angle_error}");
+        let spread = (contradicting.covariance - agreeing.covariance).symmetric_eigenvalues();
         assert!(spread.iter().all(|s| *s > 0.0), "{spread}");
         // 0.1 rad apart: neither end is far outside.
-        assert!(torn.covariance[(1, 1)].sqrt() > 0.02, "{}", torn.covariance);
+        assert!(contradicting.covariance[(1, 1)].sqrt() > 0.02, "{}", contradicting.covariance);
     }
 }

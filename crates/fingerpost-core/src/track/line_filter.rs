@@ -115,7 +115,7 @@ impl RestingLine {
     }
 
     /// With one more line of this covariance; `None` if it is singular.
-    fn seen(self, covariance: &Matrix2<f64>) -> Option<Self> {
+    fn with_line(self, covariance: &Matrix2<f64>) -> Option<Self> {
         let information = self.information + covariance.try_inverse()?;
         Some(Self { information, frames: self.frames + 1.0, ..self })
     }
@@ -146,7 +146,7 @@ impl RestingLine {
 
     /// Covariance of the combined line: the common part, and the state's covariance `own`, in which
     /// the independent part was at its limit.
-    fn whole(&self, own: &Matrix2<f64>) -> Option<Matrix2<f64>> {
+    fn combined_covariance(&self, own: &Matrix2<f64>) -> Option<Matrix2<f64>> {
         Some(self.common()? + own * (self.own_part() / MOST_OWN_PART))
     }
 
@@ -180,13 +180,13 @@ impl LineFilter {
         image: &GrayView<'_>,
         time_s: f64,
         line: FingerLine,
-        shown: &BandDimensions,
+        dimensions: &BandDimensions,
     ) -> FingerLine {
         if is_off(Mechanism::LineFilter) {
             return line;
         }
         let Some(state) = self.state else {
-            self.start(image, time_s, &line, shown);
+            self.start(image, time_s, &line, dimensions);
             return line;
         };
         if let Some(filtered) = self.filtered(image, time_s, line, state) {
@@ -202,9 +202,9 @@ impl LineFilter {
         image: &GrayView<'_>,
         time_s: f64,
         line: &FingerLine,
-        shown: &BandDimensions,
+        dimensions: &BandDimensions,
     ) {
-        let BandDimensions { half_width_px, taper, length_px } = *shown;
+        let BandDimensions { half_width_px, taper, length_px } = *dimensions;
         let axis = &line.axis;
         let is_seen =
             self.registration.draw(image, axis, half_width_px, taper, TEXTURED_PART * length_px);
@@ -213,7 +213,7 @@ impl LineFilter {
         self.state = is_seen.then(|| LineState {
             line: Vector2::zeros(),
             covariance: covariance * MOST_OWN_PART,
-            rest: RestingLine::at(pose).seen(&covariance),
+            rest: RestingLine::at(pose).with_line(&covariance),
             variance_factor: 1.0,
             frames: BELIEVED_FRAMES,
             pose,
@@ -233,7 +233,7 @@ impl LineFilter {
     ) -> Option<FingerLine> {
         let texture_poses = self.registration.find(image, &self.expected(&line, &state), time_s)?;
         let texture_pose = texture_poses.together;
-        let (state, travel) = state.carried(&texture_pose, time_s);
+        let (state, travel) = state.predicted(&texture_pose, time_s);
         let observation = LineObservation::of(line, &texture_pose, &state, travel)?;
         let (state, filtered) = if let Some(rest) = state.rest {
             state.with_resting_line(&observation, rest)?
@@ -247,38 +247,39 @@ impl LineFilter {
 
     /// The texture's pose predicted from the frame's line and the state.
     fn expected(&self, line: &FingerLine, state: &LineState) -> Axis {
-        let here = line.expressed_at(&self.registration.middle_of(&line.axis)).axis;
-        let anchor = here.anchor - here.normal() * state.line.x;
-        let ahead_px = (here.tip - here.anchor).norm();
-        Axis::of_finger(anchor, here.angle_rad - state.line.y, ahead_px)
+        let measured = line.expressed_at(&self.registration.middle_of(&line.axis)).axis;
+        let anchor = measured.anchor - measured.normal() * state.line.x;
+        let ahead_px = (measured.tip - measured.anchor).norm();
+        Axis::of_finger(anchor, measured.angle_rad - state.line.y, ahead_px)
     }
 }
 
 impl LineState {
     /// The state predicted for the texture's pose in this frame, and the distance travelled since
     /// the last one \[half-widths\].
-    fn carried(self, texture_pose: &TexturePose, time_s: f64) -> (Self, f64) {
+    fn predicted(self, texture_pose: &TexturePose, time_s: f64) -> (Self, f64) {
         let w = self.half_width_px;
         let travel = (texture_pose.axis.anchor - self.pose.anchor).norm() / w;
         let turned_rad = texture_pose.axis.angle_rad - self.pose.angle_rad;
         let [offset, angle] = drift(travel, time_s - self.time_s, turned_rad);
-        let own = Vector2::new(w * w * offset, angle);
-        let rests = |rest: &RestingLine| {
+        let process_noise = Vector2::new(w * w * offset, angle);
+        let is_at_rest = |rest: &RestingLine| {
             (texture_pose.axis.anchor - rest.first.anchor).norm() < ONE_LOOK_WIDTHS * w
         };
-        let rest = self.rest.filter(rests);
-        let left = self.rest.filter(|_| rest.is_none());
-        let covariance =
-            left.and_then(|rest| rest.whole(&self.covariance)).unwrap_or(self.covariance);
-        let carried = Self {
-            covariance: covariance + Matrix2::from_diagonal(&own),
+        let rest = self.rest.filter(is_at_rest);
+        let ended_rest = self.rest.filter(|_| rest.is_none());
+        let covariance = ended_rest
+            .and_then(|rest| rest.combined_covariance(&self.covariance))
+            .unwrap_or(self.covariance);
+        let predicted = Self {
+            covariance: covariance + Matrix2::from_diagonal(&process_noise),
             rest,
             pose: texture_pose.axis,
             missed: 0,
             time_s,
             ..self
         };
-        (carried, travel)
+        (predicted, travel)
     }
 
     /// Update by a frame of a finger at rest: the new state, and the line of all its frames.
@@ -287,21 +288,22 @@ impl LineState {
         observation: &LineObservation,
         rest: RestingLine,
     ) -> Option<(Self, FingerLine)> {
-        let single = observation.measured.covariance;
-        let rest = rest.with_residual(observation, &self.covariance)?.seen(&single)?;
+        let line_covariance = observation.measured.covariance;
+        let rest =
+            rest.with_residual(observation, &self.covariance)?.with_line(&line_covariance)?;
         let own_part = rest.own_part();
         let filtered = if own_part > 0.0 {
             let expected =
                 self.covariance * (own_part / MOST_OWN_PART) + observation.texture_pose.covariance;
             observation.combined(
                 &(expected * observation.inflation),
-                &(single * own_part),
+                &(line_covariance * own_part),
                 |_| rest.common(),
             )?
         } else {
             observation.line
         };
-        let state = self.updated(observation, &(single * MOST_OWN_PART))?;
+        let state = self.updated(observation, &(line_covariance * MOST_OWN_PART))?;
         Some((Self { rest: Some(rest), ..state }, filtered))
     }
 
@@ -322,10 +324,10 @@ impl LineState {
 
     /// Kalman update; `filtered` is the covariance of the observation.
     fn updated(self, observation: &LineObservation, filtered: &Matrix2<f64>) -> Option<Self> {
-        let before = self.covariance * observation.inflation;
-        let gain = before * (observation.expected + filtered).try_inverse()?;
+        let predicted = self.covariance * observation.inflation;
+        let gain = predicted * (observation.expected + filtered).try_inverse()?;
         let line = self.line + gain * observation.surprise;
-        Some(Self { line, covariance: (Matrix2::identity() - gain) * before, ..self })
+        Some(Self { line, covariance: (Matrix2::identity() - gain) * predicted, ..self })
     }
 
     /// With the variance factor updated by the innovation.
@@ -345,12 +347,13 @@ impl LineState {
 
     /// Restarted from the frame's line alone, which may be the first of a finger at rest.
     fn restarted(self, observation: &LineObservation) -> Option<Self> {
-        let single = observation.measured.covariance;
+        let line_covariance = observation.measured.covariance;
         let line = self.line + observation.surprise;
-        let rest = Some(RestingLine::at(observation.texture_pose.axis).seen(&single)?);
+        let rest =
+            Some(RestingLine::at(observation.texture_pose.axis).with_line(&line_covariance)?);
         Some(Self {
             line,
-            covariance: single * MOST_OWN_PART + observation.texture_pose.covariance,
+            covariance: line_covariance * MOST_OWN_PART + observation.texture_pose.covariance,
             rest,
             ..self
         })
@@ -388,26 +391,26 @@ impl LineObservation {
         travel: f64,
     ) -> Option<Self> {
         let measured = line.expressed_at(&texture_pose.axis);
-        let drawn = FingerLine { axis: texture_pose.axis, ..measured };
-        let surprise = drawn.difference(&measured.axis) - state.line;
+        let at_texture = FingerLine { axis: texture_pose.axis, ..measured };
+        let surprise = at_texture.difference(&measured.axis) - state.line;
         let correlation = correlation(travel);
         let filtered = measured.covariance * ((1.0 + correlation) / (1.0 - correlation));
         let expected = state.covariance + texture_pose.covariance;
-        let apart = (expected + measured.covariance).try_inverse()? * surprise;
-        let contradiction = surprise.dot(&((expected + filtered).try_inverse()? * surprise));
-        let inflation = (contradiction / CHI2_2DOF_99).max(1.0);
-        let with_disagreement =
+        let weighted_innovation = (expected + measured.covariance).try_inverse()? * surprise;
+        let chi_squared = surprise.dot(&((expected + filtered).try_inverse()? * surprise));
+        let inflation = (chi_squared / CHI2_2DOF_99).max(1.0);
+        let inflated =
             |line: FingerLine| FingerLine { covariance: line.covariance * inflation, ..line };
-        (contradiction <= OTHER).then_some(Self {
-            line: with_disagreement(line),
-            measured: with_disagreement(measured),
+        (chi_squared <= OTHER).then_some(Self {
+            line: inflated(line),
+            measured: inflated(measured),
             texture_pose: *texture_pose,
             state: state.line,
             surprise,
             expected: expected * inflation,
             filtered: filtered * inflation,
             inflation,
-            reduced_chi_squared: 0.5 * surprise.dot(&apart),
+            reduced_chi_squared: 0.5 * surprise.dot(&weighted_innovation),
             freshness: 1.0 - correlation,
         })
     }
@@ -423,10 +426,10 @@ impl LineObservation {
     ) -> Option<FingerLine> {
         let gain = expected * (expected + filtered).try_inverse()?;
         let covariance = (Matrix2::identity() - gain) * expected;
-        let beside = self.state + gain * self.surprise;
+        let updated = self.state + gain * self.surprise;
         let Axis { anchor, angle_rad, .. } = self.texture_pose.axis;
-        let anchor = anchor + self.texture_pose.axis.normal() * beside.x;
-        let axis = Axis::of_finger(anchor, angle_rad + beside.y, 0.0);
+        let anchor = anchor + self.texture_pose.axis.normal() * updated.x;
+        let axis = Axis::of_finger(anchor, angle_rad + updated.y, 0.0);
         let covariance = covariance + common(&covariance)?;
         let filtered = FingerLine { axis, covariance, ..self.line }.expressed_beside(&self.line);
         let tip_px = (self.line.axis.tip - self.line.axis.anchor).dot(&self.line.axis.direction());

@@ -35,9 +35,9 @@ impl MotionPrediction {
         found: &FitResult,
     ) -> Result<Option<(Dynamics<3>, Option<Innovation<3>>)>> {
         let Some(fit) = found.fit else { return Ok(None) };
-        let seen = fit.shape.covariance.fixed_view::<3, 3>(0, 0) + misfit();
+        let covariance = fit.shape.covariance.fixed_view::<3, 3>(0, 0) + misfit();
         let mut dynamics = self.dynamics;
-        let innovation = dynamics.update(self.time_s, &found.shape.placement(), &seen)?;
+        let innovation = dynamics.update(self.time_s, &found.shape.placement(), &covariance)?;
         Ok(Some((dynamics, innovation)))
     }
 }

@@ -99,38 +99,40 @@ mod tests {
     const CELL: f64 = 8.0;
 
     /// Innovation of a hand at rest for 30 frames that is next seen `after_s` later, displaced by
-    /// `off`.
-    fn innovation(after_s: f64, off: Vector3<f64>) -> Innovation<3> {
-        let seen = Matrix3::from_diagonal(&Vector3::new(0.25, 0.25, 1e-4));
+    /// `displacement`.
+    fn innovation(after_s: f64, displacement: Vector3<f64>) -> Innovation<3> {
+        let covariance = Matrix3::from_diagonal(&Vector3::new(0.25, 0.25, 1e-4));
         let components = DynamicsOptions::default().components(1.0);
-        let mut dynamics = Dynamics::start(components, 1.0, 0.0, &Vector3::zeros(), &seen).unwrap();
+        let mut dynamics =
+            Dynamics::start(components, 1.0, 0.0, &Vector3::zeros(), &covariance).unwrap();
         for k in 1..30 {
-            dynamics.update(0.04 * f64::from(k), &Vector3::zeros(), &seen).unwrap();
+            dynamics.update(0.04 * f64::from(k), &Vector3::zeros(), &covariance).unwrap();
         }
-        dynamics.update(29.0 * 0.04 + after_s, &off, &seen).unwrap().unwrap()
+        dynamics.update(29.0 * 0.04 + after_s, &displacement, &covariance).unwrap().unwrap()
     }
 
-    fn still() -> MotionPrior {
+    fn resting_prior() -> MotionPrior {
         let mut motion_prior = MotionPrior::unknown();
         (0..20).for_each(|_| motion_prior.follow(Some(0.0)));
         motion_prior
     }
 
     #[test]
-    fn a_hand_where_it_was_is_as_likely_as_it_can_be() {
-        let here = innovation(0.04, Vector3::zeros());
-        assert!(still().unlikely(&here, CELL).abs() < 1e-12);
+    fn a_hand_at_rest_in_its_place_is_not_improbable() {
+        let in_place = innovation(0.04, Vector3::zeros());
+        assert!(resting_prior().unlikely(&in_place, CELL).abs() < 1e-12);
     }
 
     #[test]
-    fn the_longer_unseen_and_the_farther_off_the_less_likely() {
-        let turned = Vector3::new(20.0, 0.0, 1.0);
-        for motion_prior in [still(), MotionPrior::unknown()] {
+    fn improbability_grows_with_time_unseen_and_distance() {
+        let displacement = Vector3::new(20.0, 0.0, 1.0);
+        for motion_prior in [resting_prior(), MotionPrior::unknown()] {
             let unlikely = |after_s, part| {
-                motion_prior.unlikely(&innovation(after_s, turned * part), CELL) / SURPRISE_WEIGHT
+                motion_prior.unlikely(&innovation(after_s, displacement * part), CELL)
+                    / SURPRISE_WEIGHT
             };
-            // At the predicted place, but among more and more places; a hand at rest stays in its
-            // own.
+            // At the predicted place, but among a growing number of possible ones; a hand at rest
+            // keeps its place.
             assert!(unlikely(0.8, 0.0) > unlikely(0.4, 0.0) + 1.0);
             for after_s in [0.04, 0.12, 0.24] {
                 assert!(unlikely(after_s, 1.0) > unlikely(after_s, 0.5) + 0.5);
@@ -140,10 +142,11 @@ mod tests {
     }
 
     #[test]
-    fn a_hand_at_rest_may_start_to_move() {
-        let gone = innovation(0.04, Vector3::new(25.0, -20.0, 0.1));
-        let more = still().unlikely(&gone, CELL) - MotionPrior::unknown().unlikely(&gone, CELL);
-        let most = -SURPRISE_WEIGHT * CHANGES.ln();
-        assert!((more - most).abs() < 1e-12, "{more}");
+    fn the_improbability_of_starting_to_move_is_bounded() {
+        let moved = innovation(0.04, Vector3::new(25.0, -20.0, 0.1));
+        let excess =
+            resting_prior().unlikely(&moved, CELL) - MotionPrior::unknown().unlikely(&moved, CELL);
+        let bound = -SURPRISE_WEIGHT * CHANGES.ln();
+        assert!((excess - bound).abs() < 1e-12, "{excess}");
     }
 }

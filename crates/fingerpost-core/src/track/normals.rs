@@ -116,20 +116,20 @@ impl Normals {
         region_about(self.lines.iter().map(|line| (line.sample.position, reach(line))))
     }
 
-    /// Searches every line of a scene, `shown` as the search model shows it. With `own_only`, edges
-    /// that are not like the hand inside are dropped; edges that the background explains always
-    /// are.
+    /// Searches every line of a scene; `search_frame` is its frame in the search model's mixture.
+    /// Edges that the background explains are dropped; with `own_only`, so are edges that are not
+    /// like the hand inside.
     pub fn search(
         &mut self,
         scene: &Scene<'_>,
-        shown: &Frame<'_>,
+        search_frame: &Frame<'_>,
         search_model: &SearchModel<'_>,
         scale: Scale,
         own_only: bool,
     ) -> Result<()> {
         let lines = (self.lines.as_slice(), self.parts.as_slice());
         let (of_part, found) = (&mut self.found_of_part, &mut self.found);
-        search_parts(&mut self.search, shown, search_model, scale, lines, of_part, found)?;
+        search_parts(&mut self.search, search_frame, search_model, scale, lines, of_part, found)?;
         self.in_grey.clear();
         self.in_grey.resize(self.lines.len(), false);
         if let Some(in_grey) = &search_model.in_grey {
@@ -137,14 +137,15 @@ impl Normals {
         }
         if own_only {
             for line in 0..self.lines.len() {
-                if self.found[line].is_ok() && !self.is_own(line, scene, shown, search_model) {
+                if self.found[line].is_ok() && !self.is_own(line, scene, search_frame, search_model)
+                {
                     self.found[line] = Err(Miss::NoContrast);
                 }
             }
         }
         match scene.background() {
             Some(background) if !matches!(search_model.cue, Cue::LogRatio(_)) => {
-                self.search_before(background, shown, search_model, scale)
+                self.search_before(background, search_frame, search_model, scale)
             }
             _ => Ok(()),
         }
@@ -183,13 +184,13 @@ impl Normals {
         Ok(())
     }
 
-    /// Whether the edge of a line is the hand's own, in a frame `shown` as the search model shows
-    /// it.
+    /// Whether the edge of a line is the hand's own; `search_frame` is the frame in the search
+    /// model's mixture.
     pub fn is_own(
         &self,
         line: usize,
         frame: &Frame<'_>,
-        shown: &Frame<'_>,
+        search_frame: &Frame<'_>,
         search_model: &SearchModel<'_>,
     ) -> bool {
         let Ok(edge) = &self.found[line] else { return false };
@@ -198,7 +199,7 @@ impl Normals {
             Some(in_grey) if self.in_grey[line] => {
                 search_model.is_own_in_grey(in_grey, frame, &edge)
             }
-            _ => search_model.is_own_of(self.parts[line], frame, shown, &edge),
+            _ => search_model.is_own_of(self.parts[line], frame, search_frame, &edge),
         }
     }
 
@@ -207,7 +208,7 @@ impl Normals {
     fn search_before(
         &mut self,
         background: Behind<'_>,
-        shown: &Frame<'_>,
+        search_frame: &Frame<'_>,
         search_model: &SearchModel<'_>,
         scale: Scale,
     ) -> Result<()> {
@@ -232,7 +233,7 @@ impl Normals {
         }
         let lines = (self.again.as_slice(), self.again_parts.as_slice());
         let (of_part, found) = (&mut self.found_of_part, &mut self.found_again);
-        search_parts(&mut self.search, shown, search_model, scale, lines, of_part, found)?;
+        search_parts(&mut self.search, search_frame, search_model, scale, lines, of_part, found)?;
         for (&Replaced { line, begins_px }, found) in self.replaced.iter().zip(&self.found_again) {
             let Ok(mut edge) = *found else { continue };
             edge.offset_px += begins_px;
@@ -249,7 +250,7 @@ impl Normals {
 /// `of_part` is a buffer.
 fn search_parts(
     search: &mut EdgeSearch,
-    shown: &Frame<'_>,
+    search_frame: &Frame<'_>,
     search_model: &SearchModel<'_>,
     scale: Scale,
     (lines, parts): (&[SearchLine], &[Part]),
@@ -257,13 +258,13 @@ fn search_parts(
     found: &mut Vec<EdgeMeasurement>,
 ) -> Result<()> {
     if search_model.flank_levels.is_none() {
-        return search.search(shown, search_model.cue, scale, lines, found);
+        return search.search(search_frame, search_model.cue, scale, lines, found);
     }
     found.clear();
     for same in parts.chunk_by(|one, next| one == next) {
         let Some(&part) = same.first() else { continue };
         let lines = &lines[found.len()..][..same.len()];
-        search.search(shown, search_model.cue_of(part), scale, lines, of_part)?;
+        search.search(search_frame, search_model.cue_of(part), scale, lines, of_part)?;
         found.append(of_part);
     }
     Ok(())

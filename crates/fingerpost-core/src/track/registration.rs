@@ -29,12 +29,12 @@ const SURE: f64 = 2e-6;
 /// used.
 const UNSURE: f64 = 4.0;
 
-/// Drift of lines on a hand that has moved by `gone` \[half-widths\] and turned by `turned_rad` in
-/// `passed_s`: variances of the offset \[half-widths²\] and of the angle \[rad²\]. A negative time
-/// counts as 0.
-pub(super) fn drift(gone: f64, passed_s: f64, turned_rad: f64) -> [f64; 2] {
+/// Drift of lines on a hand that has moved by `travel` \[half-widths\] and turned by `turned_rad`
+/// in `passed_s`: variances of the offset \[half-widths²\] and of the angle \[rad²\]. A negative
+/// time counts as 0.
+pub(super) fn drift(travel: f64, passed_s: f64, turned_rad: f64) -> [f64; 2] {
     let [offset, angle] =
-        [0, 1].map(|k| DRIFT_PER_WIDTH[k] * gone + DRIFT_PER_S[k] * passed_s.max(0.0));
+        [0, 1].map(|k| DRIFT_PER_WIDTH[k] * travel + DRIFT_PER_S[k] * passed_s.max(0.0));
     [offset, angle + DRIFT_PER_TURN * turned_rad.sin().powi(2)]
 }
 
@@ -100,9 +100,9 @@ impl TextureRegistration {
     pub fn find(&mut self, image: &GrayView<'_>, near: &Axis, time_s: f64) -> Option<TexturePoses> {
         let finger = self.finger.find(image, near)?;
         let is_sure = finger.covariance[(1, 1)] < SURE;
-        let near = self.hand_by(&finger.axis);
+        let near = self.predicted_hand(&finger.axis);
         let hand = if is_sure { None } else { self.hand.find(image, &near) };
-        let together = hand.map_or(finger, |hand| self.together(&finger, &hand, time_s));
+        let together = hand.map_or(finger, |hand| self.combined_pose(&finger, &hand, time_s));
         Some(TexturePoses { together, finger, hand })
     }
 
@@ -115,82 +115,92 @@ impl TextureRegistration {
     }
 
     /// The hand's predicted pose, given the finger's.
-    fn hand_by(&self, finger: &Axis) -> Axis {
+    fn predicted_hand(&self, finger: &Axis) -> Axis {
         let angle_rad = finger.angle_rad - self.turn.map_or(0.0, |turn| turn.angle_rad);
         Axis::of_finger(finger.anchor, angle_rad, (finger.tip - finger.anchor).norm())
     }
 
     /// The finger's pose from both registrations; updates the filter of the angle between them.
-    fn together(&mut self, finger: &TexturePose, hand: &TexturePose, time_s: f64) -> TexturePose {
-        let [own, whole] = [finger, hand].map(|texture_pose| texture_pose.covariance[(1, 1)]);
+    fn combined_pose(
+        &mut self,
+        finger: &TexturePose,
+        hand: &TexturePose,
+        time_s: f64,
+    ) -> TexturePose {
+        let [finger_variance, hand_variance] =
+            [finger, hand].map(|texture_pose| texture_pose.covariance[(1, 1)]);
         let hand_rad = hand.axis.angle_rad;
-        let seen = HeadingFilter {
+        let measured = HeadingFilter {
             angle_rad: (finger.axis.angle_rad - hand_rad).sin().asin(),
-            variance: own + whole,
+            variance: finger_variance + hand_variance,
             place: finger.axis.anchor,
             hand_rad,
             time_s,
         };
-        let known = self.turn.and_then(|turn| turn.with(&seen, self.half_width_px));
-        let turn = *self.turn.insert(known.unwrap_or(seen));
-        if whole >= UNSURE * own {
+        let filtered = self.turn.and_then(|turn| turn.with(&measured, self.half_width_px));
+        let turn = *self.turn.insert(filtered.unwrap_or(measured));
+        if hand_variance >= UNSURE * finger_variance {
             return *finger;
         }
         // The finger is part of the hand: this never increases the variance of its own angle.
-        finger.turned_to(hand_rad + turn.angle_rad, own.min(turn.variance + whole))
+        finger.turned_to(
+            hand_rad + turn.angle_rad,
+            finger_variance.min(turn.variance + hand_variance),
+        )
     }
 }
 
 impl HeadingFilter {
     /// Update by another frame; `None` if its innovation fails the validation gate.
-    fn with(self, seen: &Self, half_width_px: f64) -> Option<Self> {
-        let gone = (seen.place - self.place).norm() / half_width_px;
-        let turned_rad = seen.hand_rad - self.hand_rad;
-        let [_, drift] = drift(gone, seen.time_s - self.time_s, turned_rad);
+    fn with(self, measured: &Self, half_width_px: f64) -> Option<Self> {
+        let travel = (measured.place - self.place).norm() / half_width_px;
+        let turned_rad = measured.hand_rad - self.hand_rad;
+        let [_, drift] = drift(travel, measured.time_s - self.time_s, turned_rad);
         let variance = self.variance + drift;
-        let (apart, expected) = (seen.angle_rad - self.angle_rad, variance + seen.variance);
+        let (innovation, expected) =
+            (measured.angle_rad - self.angle_rad, variance + measured.variance);
         let gain = variance / expected;
-        let angle_rad = self.angle_rad + gain * apart;
-        let filtered = Self { angle_rad, variance: (1.0 - gain) * variance, ..*seen };
-        (apart * apart <= OTHER * expected).then_some(filtered)
+        let angle_rad = self.angle_rad + gain * innovation;
+        let filtered = Self { angle_rad, variance: (1.0 - gain) * variance, ..*measured };
+        (innovation * innovation <= OTHER * expected).then_some(filtered)
     }
 }
 
-// The registration is private to the crate; the truth is the painted pose.
+// The registration is private to the crate; the truth is the rendered pose.
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::axis::Painted;
+    use crate::axis::RenderedFinger;
 
     const FRAMES: usize = 60;
 
     /// A finger that moves and turns before its hand, and the hand turned relative to it.
-    fn painted(k: usize, hand_rad: f64) -> Painted {
+    fn rendered(k: usize, hand_rad: f64) -> RenderedFinger {
         let t = k as f64;
         let tip = [118.0 + 6.0 * (0.3 * t).sin(), 78.0 + 4.0 * (0.2 * t).cos()];
-        Painted {
+        RenderedFinger {
             hand_rad: Some(hand_rad),
             stripes_px: 0.7 * t,
             noise: 5.0,
             spread_px: 1,
             seed: 11 + k as u64,
-            ..Painted::at(tip, 0.4 + 0.05 * (0.25 * t).sin())
+            ..RenderedFinger::at(tip, 0.4 + 0.05 * (0.25 * t).sin())
         }
     }
 
     /// Errors of the finger's angle by its own texture and by both, frame by frame.
-    fn errors(of: impl Fn(usize) -> Painted) -> Vec<[f64; 2]> {
+    fn errors(of: impl Fn(usize) -> RenderedFinger) -> Vec<[f64; 2]> {
         let mut registration = TextureRegistration::empty();
-        let first = Painted { noise: 0.0, ..of(0) };
+        let first = RenderedFinger { noise: 0.0, ..of(0) };
         assert!(first.show(|image| registration.draw(image, &first.axis(), 8.0, 0.0, 60.0)));
         let mut error = |k: usize| {
-            let painted = of(k);
+            let rendered = of(k);
             let texture_poses =
-                painted.show(|i| registration.find(i, &painted.axis(), k as f64 / 25.0))?;
+                rendered.show(|i| registration.find(i, &rendered.axis(), k as f64 / 25.0))?;
             registration.learn(&texture_poses);
             Some(
                 [texture_poses.finger, texture_poses.together]
-                    .map(|texture_pose| texture_pose.axis.angle_rad - painted.angle_rad),
+                    .map(|texture_pose| texture_pose.axis.angle_rad - rendered.angle_rad),
             )
         };
         let errors: Vec<_> = (1..FRAMES).filter_map(&mut error).collect();
@@ -198,45 +208,48 @@ mod tests {
         errors
     }
 
-    fn rms(errors: &[[f64; 2]], which: usize) -> f64 {
-        (errors.iter().map(|e| e[which].powi(2)).sum::<f64>() / errors.len() as f64).sqrt()
+    fn rms(errors: &[[f64; 2]], index: usize) -> f64 {
+        (errors.iter().map(|e| e[index].powi(2)).sum::<f64>() / errors.len() as f64).sqrt()
     }
 
     #[test]
-    fn a_finger_is_turned_with_less_noise_by_its_hand() {
-        let errors = errors(|k| painted(k, 0.0));
-        let [alone, together] = [0, 1].map(|which| rms(&errors, which));
+    fn the_hand_reduces_the_noise_of_the_fingers_angle() {
+        let errors = errors(|k| rendered(k, 0.0));
+        let [alone, together] = [0, 1].map(|index| rms(&errors, index));
         assert!(together < 0.7 * alone, "{together} {alone}");
     }
 
     #[test]
-    fn a_hand_that_turns_otherwise_hardly_takes_the_finger_along() {
+    fn rotation_of_the_hand_alone_hardly_turns_the_finger() {
         // By up to a quarter of a degree from frame to frame, up to 3 degrees either way.
         let turned_rad = |k: usize| 0.06 * (0.08 * k as f64).sin();
-        let errors = errors(|k| painted(k, turned_rad(k)));
+        let errors = errors(|k| rendered(k, turned_rad(k)));
         let together = rms(&errors, 1);
         let turned = (0..FRAMES).map(|k| turned_rad(k).powi(2)).sum::<f64>() / FRAMES as f64;
         assert!(together < 0.2 * turned.sqrt(), "{together} of {turned}");
     }
 
     #[test]
-    fn a_hand_that_has_opened_is_looked_at_anew() {
+    fn the_filter_restarts_after_the_hand_has_opened() {
         // Turned by 6 degrees from one frame to the next.
-        let errors = errors(|k| painted(k, if k < 30 { 0.0 } else { 0.1 }));
+        let errors = errors(|k| rendered(k, if k < 30 { 0.0 } else { 0.1 }));
         assert!(errors.iter().all(|e| e[1].abs() < 0.02), "{errors:?}");
     }
 
     #[test]
-    fn without_a_hand_in_the_picture_the_finger_lies_as_its_own_skin_has_it() {
+    fn without_a_hand_in_the_image_the_pose_is_that_of_the_fingers_texture() {
         // The image ends behind the finger.
-        let at =
-            |k: usize| Painted { noise: 2.0, seed: 3 + k as u64, ..Painted::at([60.0, 60.0], 0.0) };
+        let at = |k: usize| RenderedFinger {
+            noise: 2.0,
+            seed: 3 + k as u64,
+            ..RenderedFinger::at([60.0, 60.0], 0.0)
+        };
         let errors = errors(at);
         assert!(errors.iter().all(|[alone, together]| alone.to_bits() == together.to_bits()));
     }
 
     #[test]
-    fn lines_drift_with_way_time_and_turn_either_way() {
+    fn drift_grows_with_distance_time_and_rotation_of_either_sign() {
         let [offset, angle] = drift(2.0, 0.5, -0.1);
         assert!((offset - (2.0 * 5e-5 + 0.5 * 1e-4)).abs() < 1e-12);
         assert!((angle - (2.0 * 2e-6 + 0.5 * 4e-6 + 2.5e-3 * 0.1_f64.sin().powi(2))).abs() < 1e-12);

@@ -87,19 +87,19 @@ impl ContourTracker {
         let finger_line = match self.hand.shape {
             Shape::Ribbon(x) if self.options.refine => finger_line.map(|line| {
                 let length_px = self.hand.measure.length_px;
-                let shown = BandDimensions { half_width_px: x[3], taper: x[4], length_px };
+                let dimensions = BandDimensions { half_width_px: x[3], taper: x[4], length_px };
                 // The bias due to a bend is common to all lines. It lowers this line's weight
                 // against those of other frames; the part of it that the filter averages away is
                 // restored.
                 let bend_bias = self.axis_curvature.bend_bias().hypot(self.shade_bias(&line));
-                let seen = self.finger_scale(x[3]);
+                let scale = self.finger_scale(x[3]);
                 let line = self
                     .axis_curvature
-                    .at_front(line, front.as_ref(), &seen)
+                    .at_front(line, front.as_ref(), &scale)
                     .with_relative_bias(bend_bias);
-                let filtered = self.line_filter.follow(frame.image(), time_s, line, &shown);
-                let left = (filtered.spread() / line.spread()).min(1.0);
-                let restored_bias = bend_bias * (1.0 - left).sqrt();
+                let filtered = self.line_filter.follow(frame.image(), time_s, line, &dimensions);
+                let spread_ratio = (filtered.spread() / line.spread()).min(1.0);
+                let restored_bias = bend_bias * (1.0 - spread_ratio).sqrt();
                 // A bias that is equal in all frames must not affect the weights.
                 filtered
                     .with_relative_bias(restored_bias.hypot(self.axis_curvature.faint_flank_bias()))
@@ -126,8 +126,8 @@ impl ContourTracker {
         if whole.source == Source::Bisector {
             return Ok(None);
         }
-        let seen = self.finger_scale(finger.half_width_px);
-        let Some(far_px) = self.axis_curvature.front_to_measure(whole, &seen) else {
+        let scale = self.finger_scale(finger.half_width_px);
+        let Some(far_px) = self.axis_curvature.front_to_measure(whole, &scale) else {
             return Ok(None);
         };
         let ends_px = (finger.axis.tip - finger.axis.anchor).norm() - far_px;
@@ -207,7 +207,7 @@ impl ContourTracker {
 
     /// The finger, with the agreeing part of its flanks; of a covered hand, all visible flanks.
     fn finger_of(&self, x: &RibbonVector, found: &FitResult) -> Result<Option<Finger>> {
-        // An occluder may lie over the middle of a flank; its pixels are recognised otherwise.
+        // An occluder may lie over the middle of a flank; the refinement excludes its pixels.
         let flanks = if has_own_pixels(found) { Flanks::Agreeing } else { Flanks::Visible };
         self.finger(x, found, flanks)
     }
@@ -223,12 +223,18 @@ impl ContourTracker {
             return Ok(Some(refined));
         }
         let search_model = self.hand.search_model(frame, found.edges(), self.options.polarity);
-        let shown = self.convergence.shown(frame, search_model.mixture, finger)?;
+        let search_frame = self.convergence.shown(frame, search_model.mixture, finger)?;
         let appearance = search_model.cue.appearance();
         // The background model has grey levels, whatever mixture of colours shows the hand best.
         let behind = frame.background();
         let known = behind.as_ref().map(|b| b.known().behind(*frame.image()));
-        self.refiner.refine(&shown, finger, search_model.polarity, appearance, known.as_ref())
+        self.refiner.refine(
+            &search_frame,
+            finger,
+            search_model.polarity,
+            appearance,
+            known.as_ref(),
+        )
     }
 
     /// The same in the frame at full resolution, if a reduced image is tracked; `None` unless its
@@ -247,12 +253,13 @@ impl ContourTracker {
         };
         let finger = pyramid_level.finger(finger);
         let search_model = self.hand.search_model(frame, edges, self.options.polarity);
-        let shown = self.whole.shown(whole, search_model.mixture, || finger_region(&finger))?;
+        let search_frame =
+            self.whole.shown(whole, search_model.mixture, || finger_region(&finger))?;
         let appearance = search_model.cue.appearance();
         let behind = frame.background();
         let known = behind.as_ref().map(|b| b.known_whole().behind(*whole.image()));
         let refined = self.refiner.refine(
-            &shown,
+            &search_frame,
             &finger,
             search_model.polarity,
             appearance,
@@ -313,8 +320,13 @@ impl ContourTracker {
         let Shape::Ribbon(x) = found.shape else { return Ok(None) };
         let Some(finger) = self.finger(&x, found, Flanks::Visible)? else { return Ok(None) };
         let search_model = self.hand.search_model(frame, found.edges(), self.options.polarity);
-        let shown = self.convergence.shown(frame, search_model.mixture, &finger)?;
-        self.refiner.bend(&shown, &finger, search_model.polarity, search_model.cue.appearance())
+        let search_frame = self.convergence.shown(frame, search_model.mixture, &finger)?;
+        self.refiner.bend(
+            &search_frame,
+            &finger,
+            search_model.polarity,
+            search_model.cue.appearance(),
+        )
     }
 
     /// Learns the hand's appearance from an accepted fit, every [`FRAMES_A_LESSON`] frames. If the
@@ -323,12 +335,12 @@ impl ContourTracker {
         let is_relit =
             self.hand.is_shown_in(frame) && found.fit.is_some_and(|fit| !fit.by_appearance);
         let place = self.hand.shape.placement().xy();
-        let stays = (place - self.hand.taught_at_px).norm() <= STAYS * self.hand.acquired[3];
+        let is_in_place = (place - self.hand.taught_at_px).norm() <= STAYS * self.hand.acquired[3];
         self.hand.untaught_frames += 1;
         if is_relit {
             self.hand.appearance = None;
         } else if self.hand.is_shown_in(frame)
-            && stays
+            && is_in_place
             && self.hand.untaught_frames < FRAMES_A_LESSON
         {
             return Ok(());
@@ -363,8 +375,8 @@ impl ContourTracker {
         self.convergence.teach(appearance, samples, frame, &finger, (keep, frames as f64))
     }
 
-    /// Learns the background where the hand of the last accepted fit ends without an edge. What
-    /// covers the hand elsewhere is not learned.
+    /// Learns the background where the hand of the last accepted fit ends without an edge.
+    /// Occluders elsewhere are not learned.
     pub(super) fn learn_behind(&mut self, frame: &Scene<'_>) -> Result<()> {
         if is_off(Mechanism::UnseenBackground) {
             return Ok(());

@@ -92,8 +92,8 @@ impl ContourTracker {
         };
         let left = self.shaded(frame, &x, Part::LeftFlank)?;
         let right = self.shaded(frame, &x, Part::RightFlank)?;
-        let both = left.into_iter().chain(right);
-        let Some(shaded) = both.min_by(|a, b| a.brightness.total_cmp(&b.brightness)) else {
+        let flanks = left.into_iter().chain(right);
+        let Some(shaded) = flanks.min_by(|a, b| a.brightness.total_cmp(&b.brightness)) else {
             return Ok(());
         };
         let before = (self.hand.clone(), self.convergence.clone());
@@ -135,18 +135,18 @@ impl ContourTracker {
                 false,
             )));
         })?;
-        let mut separating = Discriminant::of_chromaticity();
+        let mut discriminant = Discriminant::of_chromaticity();
         let sided: Vec<SidedPixel> = pixels
             .iter()
             .filter(|(out_px, _)| *out_px < 0 || *out_px > last - BEHIND_PX)
             .map(|(out_px, pixel)| SidedPixel { is_hand: *out_px < 0, ..*pixel })
             .collect();
-        separating.observe_all(frame, &sided, 1.0);
-        separating.learn();
-        let Some(mixture) = separating
+        discriminant.observe_all(frame, &sided, 1.0);
+        discriminant.learn();
+        let Some(mixture) = discriminant
             .mixture()
             .copied()
-            .filter(|_| separating.separation() >= MIN_CHROMATIC_SEPARATION)
+            .filter(|_| discriminant.separation() >= MIN_CHROMATIC_SEPARATION)
         else {
             return Ok(None);
         };
@@ -343,17 +343,19 @@ impl FlankProfile {
     /// lit half's; `None` if the flank is not shaded.
     fn shaded(&self, half_width_px: f64) -> Option<(f64, f64)> {
         let end = self.end(half_width_px)?;
-        let goes_on = f64::from(end) > GOES_ON_PX.max(GOES_ON * half_width_px);
-        let (from, to) = if goes_on { (2, end - 1) } else { (-FLANK_PX, -1) };
-        let beside = end + BLEEDS_PX;
+        let is_beyond_fit = f64::from(end) > GOES_ON_PX.max(GOES_ON * half_width_px);
+        let (from, to) = if is_beyond_fit { (2, end - 1) } else { (-FLANK_PX, -1) };
+        let beyond_end = end + BLEEDS_PX;
         let (inside, outside) = self.sides()?;
-        let lit = self.mean(self.first, -(0.9 * half_width_px) as i32)?.grey;
+        let lit_grey = self.mean(self.first, -(0.9 * half_width_px) as i32)?.grey;
         let flank = self.mean(from, to)?;
-        let behind = self.mean(beside, beside + FLANK_PX)?.grey;
-        let is_hidden = flank.grey < DARK * lit && (flank.grey - behind).abs() < AS_DARK * lit;
-        let apart = (inside.chromaticity - outside.chromaticity).norm();
-        let is_skin = (inside.chromaticity - flank.chromaticity).norm() < SAME_CHROMATICITY * apart;
-        let beyond_px = if goes_on { f64::from(end) } else { 0.0 };
-        (is_hidden && is_skin).then_some((beyond_px, flank.grey / lit))
+        let behind = self.mean(beyond_end, beyond_end + FLANK_PX)?.grey;
+        let is_hidden =
+            flank.grey < DARK * lit_grey && (flank.grey - behind).abs() < AS_DARK * lit_grey;
+        let class_distance = (inside.chromaticity - outside.chromaticity).norm();
+        let is_finger =
+            (inside.chromaticity - flank.chromaticity).norm() < SAME_CHROMATICITY * class_distance;
+        let beyond_px = if is_beyond_fit { f64::from(end) } else { 0.0 };
+        (is_hidden && is_finger).then_some((beyond_px, flank.grey / lit_grey))
     }
 }

@@ -62,7 +62,7 @@ pub(super) enum StageEnd {
     Reported,
     /// Another shape space continues from it and converges itself: no fit is reported.
     TakenOver,
-    /// It is reported; it is a thumb's, on whose exact place no finger line depends.
+    /// It is reported; it is that of a thumb, whose exact place does not affect the finger line.
     Thumb,
 }
 

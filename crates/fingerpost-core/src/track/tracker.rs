@@ -36,8 +36,8 @@ use super::status::{StartPose, Status};
 ///
 /// - *Acquiring*: the initial template waits at its start pose and is fitted to the hand that is
 ///   held up to it, until its size has settled.
-/// - *Tracking*: every frame is searched where a Kalman filter predicts the hand. Frames whose fit is
-///   not accepted have no finger line, and [`Diagnostics`](super::Diagnostics) says why.
+/// - *Tracking*: every frame is searched where a Kalman filter predicts the hand. Frames whose fit
+///   is not accepted have no finger line; [`Diagnostics`](super::Diagnostics) give the reason.
 /// - *Lost*: after [`TrackOptions::lose_after_frames`](super::TrackOptions::lose_after_frames) such
 ///   frames in a row. The hand is searched for at its last pose and at the start pose.
 ///
@@ -51,7 +51,7 @@ pub struct ContourTracker {
     pub(super) convergence: Convergence,
     pub(super) grid_search: GridSearch,
     pub(super) gate: Gate,
-    /// Validation gate: an innovation whose normalised square exceeds this surprises.
+    /// Validation gate: limit of the normalised square of an innovation.
     pub(super) surprise: f64,
     pub(super) hand: Hand,
     pub(super) phase: Phase,

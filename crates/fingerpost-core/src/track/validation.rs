@@ -93,8 +93,8 @@ impl BendState {
             };
         }
         let tip = found.fit.map_or(0.0, |fit| fit.support.of(Part::Tip));
-        let stays = self.is_bent() && (angle_rad > STRAIGHT_RAD || tip < TIP_SEEN);
-        if stays { self } else { Self::Straight }
+        let remains_bent = self.is_bent() && (angle_rad > STRAIGHT_RAD || tip < TIP_SEEN);
+        if remains_bent { self } else { Self::Straight }
     }
 
     /// Whether it yields no line.
@@ -180,9 +180,9 @@ impl Validation<'_> {
         }
         let contradicted =
             (fit.counts.hits - fit.counts.inliers) as f64 / fit.counts.visible.max(1) as f64;
-        let most = if fit.own_only { CONTRADICTED_BY_COVER } else { CONTRADICTED };
+        let limit = if fit.own_only { CONTRADICTED_BY_COVER } else { CONTRADICTED };
         let flanks = [Part::LeftFlank, Part::RightFlank].map(|part| fit.support.agreeing(part));
-        let is_clear = contradicted <= most && flanks.iter().all(|&f| f >= FLANK_SEEN);
+        let is_clear = contradicted <= limit && flanks.iter().all(|&f| f >= FLANK_SEEN);
         if self.motion.is_some() && is_clear { PREDICTED_SHARE } else { 1.0 }
     }
 }
@@ -194,7 +194,7 @@ mod tests {
     use crate::track::shape::Shape;
 
     #[test]
-    fn one_frame_that_is_not_sure_of_a_bend_takes_no_line_away() {
+    fn one_uncertain_bent_frame_keeps_its_line() {
         let found = FitResult {
             shape: Shape::Ribbon(RibbonVector::zeros()),
             fit: None,

@@ -56,10 +56,10 @@ impl VarianceFactor {
     /// finger's.
     pub fn learn(&mut self, contour: &FingerLine, pixels: &FingerLine, half_width_px: f64) {
         let place = contour.axis.anchor;
-        let gone = self.place.map_or(0.0, |last| (place - last).norm() / half_width_px);
+        let travel = self.place.map_or(0.0, |last| (place - last).norm() / half_width_px);
         self.place = Some(place);
         let (difference, expected) = contour.difference_from(pixels);
-        self.count(&difference, &expected, 1.0 - correlation(gone));
+        self.count(&difference, &expected, 1.0 - correlation(travel));
     }
 
     /// Learns from a difference with its covariance and its new part, 0–1.
@@ -68,8 +68,8 @@ impl VarianceFactor {
         let rate = freshness * (1.0 / self.comparisons).max(LEAST_RATE);
         for k in 0..2 {
             let sigma = expected[(k, k)].sqrt();
-            let most = sigma * (CHI2_1DOF_99 * self.square[k].max(1.0)).sqrt();
-            let difference = difference[k].clamp(-most, most);
+            let limit = sigma * (CHI2_1DOF_99 * self.square[k].max(1.0)).sqrt();
+            let difference = difference[k].clamp(-limit, limit);
             self.bias[k] += rate * (difference - self.bias[k]);
             self.square[k] += rate * ((difference / sigma).powi(2) - self.square[k]);
         }
@@ -95,7 +95,7 @@ impl VarianceFactor {
     }
 }
 
-// The differences it learns from are made by the tracker; here they are written down.
+// The tracker measures the differences that are learned; here they are given.
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_differ_as_foretold_or_less_are_worth_what_they_say() {
+    fn lines_that_differ_as_predicted_or_less_keep_their_variances() {
         for part in [1.0, 0.3, 0.0] {
             let variance_factor = learned(50, |k| [part * sign(k), part]);
             assert!((variance_factor.scaled(line()).covariance - line().covariance).norm() < 1e-12);
@@ -144,50 +144,50 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_differ_by_more_are_that_much_less_sure_in_what_differs() {
+    fn each_component_is_scaled_by_its_own_excess() {
         let scaled = learned(150, |k| [sign(k), 3.0 * sign(k)]).scaled(line());
         let expected = Matrix2::new(0.04, 3e-4, 3e-4, 9e-4);
-        let off = (scaled.covariance - expected).component_div(&expected);
-        assert!(off.amax() < 0.02, "{}", scaled.covariance);
+        let relative_error = (scaled.covariance - expected).component_div(&expected);
+        assert!(relative_error.amax() < 0.02, "{}", scaled.covariance);
         assert_eq!(scaled.axis, line().axis);
     }
 
     #[test]
-    fn one_line_that_is_far_off_makes_neither_worthless_nor_moves_the_rest() {
+    fn one_outlier_changes_variance_and_bias_little() {
         let variance_factor =
             learned(20, |k| if k == 10 { [0.0, 1e3] } else { [sign(k), sign(k)] });
-        let variance =
+        let variance_ratio =
             variance_factor.scaled(line()).covariance[(1, 1)] / line().covariance[(1, 1)];
-        assert!(1.05 < variance && variance < 1.5, "{variance}");
+        assert!(1.05 < variance_ratio && variance_ratio < 1.5, "{variance_ratio}");
         let moved = line().difference(&variance_factor.bias_corrected(line()).axis);
         assert!(moved.y.abs() < 0.3 * SIGMAS[1], "{moved}");
     }
 
     #[test]
-    fn what_stays_of_the_difference_is_taken_out_of_the_contour_and_remains_in_its_doubt() {
+    fn the_mean_difference_corrects_the_contour_and_stays_in_its_covariance() {
         let variance_factor = learned(150, |k| [2.0 + sign(k), -1.0]);
         let bias_corrected = variance_factor.bias_corrected(line());
         let moved = line().difference(&bias_corrected.axis);
         assert!((moved.x / SIGMAS[0] - 2.0).abs() < 0.1, "{moved}");
         assert!((moved.y / SIGMAS[1] + 1.0).abs() < 0.1, "{moved}");
         // 2² + 1² in units of the predicted variance.
-        let variance = bias_corrected.covariance[(0, 0)] / line().covariance[(0, 0)];
-        assert!((variance - 5.0).abs() < 0.3, "{variance}");
+        let variance_ratio = bias_corrected.covariance[(0, 0)] / line().covariance[(0, 0)];
+        assert!((variance_ratio - 5.0).abs() < 0.3, "{variance_ratio}");
         assert_eq!(bias_corrected.covariance, variance_factor.scaled(line()).covariance);
         let tip_px = (bias_corrected.axis.tip - bias_corrected.axis.anchor).norm();
         assert!((tip_px - 30.0).abs() < 1e-9);
     }
 
     #[test]
-    fn a_contour_is_not_moved_by_what_scatters() {
+    fn differences_of_zero_mean_do_not_move_the_contour() {
         let moved = line()
             .difference(&learned(150, |k| [sign(k), 2.0 * sign(k)]).bias_corrected(line()).axis);
         assert!(moved.x.abs() < 0.1 * SIGMAS[0] && moved.y.abs() < 0.1 * SIGMAS[1], "{moved}");
     }
 
     #[test]
-    fn a_hand_that_rests_shows_one_difference_however_long() {
-        let pixels = |at_px: f64| {
+    fn all_frames_of_a_resting_hand_count_as_one_comparison() {
+        let lines = |at_px: f64| {
             let contour = line();
             let axis = Axis::of_finger(contour.axis.anchor + Vector2::new(at_px, 0.0), 0.33, 30.0);
             [contour.axis, axis].map(|axis| FingerLine {
@@ -195,21 +195,25 @@ mod tests {
                 ..contour
             })
         };
-        let turned = |step_px: f64| {
+        let angle_bias = |step_px: f64| {
             let mut variance_factor = VarianceFactor::default();
             for k in 0..30 {
-                let [contour, other] = pixels(0.0);
-                let aside = Vector2::new(step_px * f64::from(k), 0.0);
+                let [contour, other] = lines(0.0);
+                let displacement = Vector2::new(step_px * f64::from(k), 0.0);
                 let at = |line: FingerLine| FingerLine {
-                    axis: Axis::of_finger(line.axis.anchor + aside, line.axis.angle_rad, 30.0),
+                    axis: Axis::of_finger(
+                        line.axis.anchor + displacement,
+                        line.axis.angle_rad,
+                        30.0,
+                    ),
                     ..line
                 };
                 variance_factor.learn(&at(contour), &at(other), 7.0);
             }
             line().difference(&variance_factor.bias_corrected(line()).axis).y
         };
-        let [rests, moves] = [0.0, 20.0].map(turned);
-        assert!(rests > 0.0 && rests < 0.1 * 0.03, "{rests}");
-        assert!(moves > 0.7 * 0.03 && moves < 0.03, "{moves}");
+        let [resting, moving] = [0.0, 20.0].map(angle_bias);
+        assert!(resting > 0.0 && resting < 0.1 * 0.03, "{resting}");
+        assert!(moving > 0.7 * 0.03 && moving < 0.03, "{moving}");
     }
 }

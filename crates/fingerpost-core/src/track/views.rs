@@ -61,17 +61,17 @@ pub enum Schedule {
 /// ```
 pub fn update_views(updates: Vec<ViewUpdate<'_>>, schedule: Schedule) -> Vec<Result<Track>> {
     let mut shares: Vec<_> = updates.into_iter().map(Share::of).collect();
-    let (mut apart, mut here): (Vec<_>, Vec<_>) =
-        shares.iter_mut().partition(|share| share.goes_apart(schedule));
-    if here.is_empty() {
-        here.extend(apart.pop());
+    let (mut in_threads, mut in_turn): (Vec<_>, Vec<_>) =
+        shares.iter_mut().partition(|share| share.needs_thread(schedule));
+    if in_turn.is_empty() {
+        in_turn.extend(in_threads.pop());
     }
     thread::scope(|scope| {
-        for share in apart {
+        for share in in_threads {
             // An update without a thread is unchanged, and is done below.
             let _ = thread::Builder::new().spawn_scoped(scope, || share.finish());
         }
-        here.into_iter().for_each(Share::finish);
+        in_turn.into_iter().for_each(Share::finish);
     });
     shares.iter_mut().for_each(Share::finish);
     shares.into_iter().filter_map(|share| share.track).collect()
@@ -89,7 +89,7 @@ impl<'a> Share<'a> {
     }
 
     /// Whether a thread of its own saves time.
-    fn goes_apart(&self, schedule: Schedule) -> bool {
+    fn needs_thread(&self, schedule: Schedule) -> bool {
         match schedule {
             Schedule::InTurn => false,
             Schedule::SideBySide => true,

@@ -1,5 +1,5 @@
-//! Frames that cost no allocation: those of a template that waits, of a hand that is tracked and of one
-//! that is away. The few in which a template moulds itself to a hand and settles may allocate.
+//! Frames without allocation: those of a waiting template, of a tracked hand and of an absent hand.
+//! Only the few frames in which a template is fitted to a hand and settles may allocate.
 
 use crate::common::{Canvas, Hand, Noise, Picture};
 use fingerpost_core::Frame;
@@ -17,8 +17,8 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::hint::black_box;
 
-/// The system's allocator, counting what each thread asks of it: the test harness has threads of
-/// its own.
+/// The system's allocator with a count of allocations per thread, for the test harness has threads
+/// of its own.
 struct Counting;
 
 thread_local! {
@@ -26,12 +26,12 @@ thread_local! {
 }
 
 fn count_one() {
-    // A thread that is ending has nothing left to count in.
+    // In an ending thread, the counter no longer exists.
     let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
 }
 
 #[expect(unsafe_code, reason = "an allocator is unsafe to implement; this one only counts")]
-// SAFETY: every call goes to the system's allocator as it is.
+// SAFETY: every call is forwarded unchanged to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count_one();
@@ -56,7 +56,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static COUNTING: Counting = Counting;
 
-/// How often `work` allocates, and what it gives.
+/// Number of allocations of `work`, and its result.
 fn allocations<T>(work: impl FnOnce() -> T) -> (usize, T) {
     let before = ALLOCATIONS.get();
     let result = work();
@@ -71,7 +71,7 @@ fn scene(thumb: Thumb, k: usize, noise: &mut Noise) -> Picture {
     scene_of(1, thumb, k, noise)
 }
 
-/// A picture that is so many times as large, with as large a hand.
+/// A picture `times` as large, with a hand `times` as large.
 fn scene_of(times: usize, thumb: Thumb, k: usize, noise: &mut Noise) -> Picture {
     let (k, px) = (k as f64, times as f64);
     let tip = Point2::new(130.0 + 12.0 * (0.4 * k).sin(), 75.0 + 9.0 * (0.3 * k).sin()) * px;
@@ -96,7 +96,7 @@ fn tracker_of(times: usize, model: Model, thumb: Thumb) -> ContourTracker {
     ContourTracker::new(Template::pistol(thumb).unwrap(), &start, options).unwrap()
 }
 
-/// A frame of the picture with colours that say no more than its grey levels.
+/// A frame of the picture with colours that are a function of its grey levels.
 fn with_colours<T>(picture: &Picture, then: impl FnOnce(&Frame<'_>) -> T) -> T {
     let bytes: Vec<u8> = picture.bytes.iter().flat_map(|&g| [g, g / 2, 255 - g]).collect();
     let colours = ColourView::new(&bytes, picture.width, picture.height, 3 * picture.width);
@@ -122,7 +122,7 @@ fn check(model: Model, thumb: Thumb, coloured: bool) {
         assert!(track.finger_line.is_some(), "{what}");
         assert_eq!(count, 0, "while tracking: {what}");
     }
-    // The hand leaves: it is missed, then lost.
+    // The hand leaves; the tracker misses it, then loses it.
     let pictures: Vec<_> = (0..FRAMES).map(|_| empty(&mut noise)).collect();
     let away: Vec<_> = pictures.iter().map(update).collect();
     assert_eq!(away[FRAMES - 1].1.status, Status::Lost, "{what}");
@@ -144,20 +144,20 @@ fn the_band_model() {
 }
 
 #[test]
-fn the_paper_s_model() {
+fn the_model_of_the_paper() {
     for thumb in [Thumb::Left, Thumb::Right, Thumb::None] {
         check(Model::Paper, thumb, false);
     }
 }
 
 #[test]
-fn with_colours_as_well() {
+fn coloured_frames() {
     check(Model::Ribbon, Thumb::Left, true);
     check(Model::Paper, Thumb::None, true);
 }
 
 #[test]
-fn a_hand_that_is_followed_in_a_smaller_picture() {
+fn a_large_hand_followed_at_a_pyramid_level() {
     let mut tracker = tracker_of(2, Model::Ribbon, Thumb::Left);
     let mut noise = Noise::new(0x6c61_7267);
     for k in 0..6 + FRAMES {
@@ -207,7 +207,7 @@ fn refining_an_axis() {
         let (count, refined) =
             allocations(|| refiner.refine(&frame, &finger, Polarity::Bright, None, None).unwrap());
         assert_eq!(refined.unwrap().source, Source::Photometric);
-        // The table of the blur is worked out once.
+        // The table of the blur is computed once.
         assert!(k == 0 || count == 0, "{count} allocations in frame {k}");
     }
 }

@@ -1,4 +1,4 @@
-//! What votes a learned appearance casts, and how it learns, forgets and keeps.
+//! Log-likelihood ratios of a learned appearance model; learning, fading and anchoring.
 
 use fingerpost_core::appearance::histogram::HistogramModel;
 use fingerpost_core::image::frame::{ColourView, Frame};
@@ -6,7 +6,7 @@ use fingerpost_core::image::gray::GrayView;
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
 
-/// The largest vote, as documented.
+/// Documented limit of the log-likelihood ratio.
 const MAX_LOG_RATIO: f32 = 3.0;
 const HAND: u8 = 160;
 const BACKGROUND: u8 = 60;
@@ -24,7 +24,7 @@ fn row(bytes: &[u8]) -> Frame<'_> {
     Frame::gray(GrayView::new(bytes, bytes.len(), 1, bytes.len()).unwrap())
 }
 
-/// A colour's pixel, with its grey.
+/// A frame of one coloured pixel.
 fn with_pixel<T>(colour: [u8; 3], then: impl FnOnce(&Frame<'_>) -> T) -> T {
     let gray = GrayView::new(&[128], 1, 1, 1).unwrap();
     then(&Frame::coloured(gray, ColourView::new(&colour, 1, 1, 3).unwrap()).unwrap())
@@ -42,53 +42,53 @@ fn two_levels() -> HistogramModel {
     appearance
 }
 
-fn vote_for(appearance: &HistogramModel, level: u8) -> f32 {
+fn ratio_of(appearance: &HistogramModel, level: u8) -> f32 {
     appearance.log_ratio(&row(&[level]), 0.0, 0.0)
 }
 
 #[test]
-fn nothing_seen_is_no_vote() {
+fn without_samples_the_ratio_is_zero() {
     for appearance in [HistogramModel::new(false), {
         let mut learned = HistogramModel::new(false);
         learned.learn();
         learned
     }] {
-        assert!(levels().iter().all(|&level| vote_for(&appearance, level) == 0.0));
+        assert!(levels().iter().all(|&level| ratio_of(&appearance, level) == 0.0));
     }
-    // One side alone tells nothing either.
+    // Nor has one class alone any information.
     let mut one_sided = HistogramModel::new(false);
     one_sided.observe(&row(&[HAND]), 0.0, 0.0, true);
     one_sided.learn();
-    assert_eq!(vote_for(&one_sided, HAND), 0.0);
+    assert_eq!(ratio_of(&one_sided, HAND), 0.0);
 }
 
 #[test]
-fn each_side_s_levels_vote_for_it_and_others_for_neither() {
+fn the_ratio_is_large_for_learned_levels_and_zero_for_others() {
     let appearance = two_levels();
-    assert_eq!(vote_for(&appearance, HAND), MAX_LOG_RATIO);
-    assert_eq!(vote_for(&appearance, BACKGROUND), -MAX_LOG_RATIO);
+    assert_eq!(ratio_of(&appearance, HAND), MAX_LOG_RATIO);
+    assert_eq!(ratio_of(&appearance, BACKGROUND), -MAX_LOG_RATIO);
     for level in [0, 110, 255] {
-        assert_eq!(vote_for(&appearance, level), 0.0, "{level}");
+        assert_eq!(ratio_of(&appearance, level), 0.0, "{level}");
     }
-    // Noise does not change the side: levels in the bins to either side vote alike.
+    // Noise keeps the sign: levels in neighbouring bins have similar ratios.
     for (level, side) in [(HAND + 7, 1.0), (HAND - 4, 1.0), (BACKGROUND + 7, -1.0)] {
-        assert!(vote_for(&appearance, level) * side > 1.0, "{level}");
+        assert!(ratio_of(&appearance, level) * side > 1.0, "{level}");
     }
 }
 
 #[test]
-fn observing_alone_changes_no_vote() {
+fn ratios_change_only_with_learning() {
     let mut appearance = two_levels();
     for _ in 0..1000 {
         appearance.observe(&row(&[HAND]), 0.0, 0.0, false);
     }
-    assert_eq!(vote_for(&appearance, HAND), MAX_LOG_RATIO);
+    assert_eq!(ratio_of(&appearance, HAND), MAX_LOG_RATIO);
     appearance.learn();
-    assert!(vote_for(&appearance, HAND) < 0.1, "now as frequent behind the hand as on it");
+    assert!(ratio_of(&appearance, HAND) < 0.1, "now as frequent behind the hand as on it");
 }
 
 #[test]
-fn what_fades_is_replaced_and_what_is_anchored_stays() {
+fn faded_samples_are_replaced_and_anchored_ones_stay() {
     let relearn = |mut appearance: HistogramModel| {
         appearance.fade(0.0);
         for _ in 0..50 {
@@ -98,15 +98,15 @@ fn what_fades_is_replaced_and_what_is_anchored_stays() {
         appearance.learn();
         appearance
     };
-    // A contour on the wrong side turns the votes round.
+    // A contour on the wrong side reverses the ratios.
     let forgot = relearn(two_levels());
-    assert_eq!(vote_for(&forgot, HAND), -MAX_LOG_RATIO);
-    assert_eq!(vote_for(&forgot, BACKGROUND), MAX_LOG_RATIO);
-    // But not those of a hand that was anchored: half of its say stays what it was.
+    assert_eq!(ratio_of(&forgot, HAND), -MAX_LOG_RATIO);
+    assert_eq!(ratio_of(&forgot, BACKGROUND), MAX_LOG_RATIO);
+    // Those of an anchored hand keep half of their weight.
     let mut anchored = two_levels();
     anchored.anchor();
     let anchored = relearn(anchored);
-    assert!(vote_for(&anchored, HAND) > -1.0, "{}", vote_for(&anchored, HAND));
+    assert!(ratio_of(&anchored, HAND) > -1.0, "{}", ratio_of(&anchored, HAND));
 }
 
 #[test]
@@ -116,11 +116,11 @@ fn fading_keeps_the_ratio() {
     faded.learn();
     let kept = two_levels();
     for level in levels() {
-        assert!((vote_for(&faded, level) - vote_for(&kept, level)).abs() < 1e-4);
+        assert!((ratio_of(&faded, level) - ratio_of(&kept, level)).abs() < 1e-4);
     }
 }
 
-/// Levels in a hand's and a background's range, and the same under another light.
+/// Levels in a hand's and a background's range, scaled by the light.
 fn spread(light: f32) -> HistogramModel {
     let mut appearance = HistogramModel::new(false);
     for k in 0..40_u8 {
@@ -134,21 +134,24 @@ fn spread(light: f32) -> HistogramModel {
 }
 
 #[test]
-fn in_other_light_the_same_things_vote_the_same() {
+fn relighting_preserves_the_ratios() {
     for light in [0.6, 0.9, 1.3] {
         let mut appearance = spread(1.0);
         appearance.relight(light);
         for level in (62..98).chain(142..178) {
             let lit = (level as f32 * light).round() as u8;
-            let expected = vote_for(&spread(light), lit);
-            let vote = vote_for(&appearance, lit);
-            assert!((vote - expected).abs() < 0.5, "light {light}, {level}: {vote} for {expected}");
+            let expected = ratio_of(&spread(light), lit);
+            let ratio = ratio_of(&appearance, lit);
+            assert!(
+                (ratio - expected).abs() < 0.5,
+                "light {light}, {level}: {ratio} for {expected}"
+            );
         }
     }
 }
 
 #[test]
-fn in_other_light_colours_keep_their_side() {
+fn relighting_preserves_the_classes_of_colours() {
     let (skin, wood) = ([120, 140, 180], [60, 90, 140]);
     let mut appearance = HistogramModel::new(true);
     for _ in 0..50 {
@@ -157,7 +160,7 @@ fn in_other_light_colours_keep_their_side() {
     }
     appearance.learn();
     let dimmed = |colour: [u8; 3]| colour.map(|c| (f32::from(c) * 0.7).round() as u8);
-    // The hand is as dark as the wood was.
+    // The dimmed hand is as dark as the wood was before.
     assert!(with_pixel(dimmed(skin), |f| appearance.log_ratio(f, 0.0, 0.0)) < 1.0);
     appearance.relight(0.7);
     assert!(with_pixel(dimmed(skin), |f| appearance.log_ratio(f, 0.0, 0.0)) > 2.0);
@@ -165,7 +168,7 @@ fn in_other_light_colours_keep_their_side() {
 }
 
 #[test]
-fn outside_the_frame_there_is_no_vote_and_nothing_to_see() {
+fn outside_the_frame_the_ratio_is_zero_and_nothing_is_observed() {
     let bytes = [HAND, BACKGROUND];
     let frame = row(&bytes);
     let mut appearance = two_levels();
@@ -187,13 +190,13 @@ fn outside_the_frame_there_is_no_vote_and_nothing_to_see() {
         appearance.observe(&frame, u, v, false);
     }
     assert_eq!(appearance, before);
-    // The pixel's whole square is inside.
+    // The whole square of a border pixel is inside.
     assert_eq!(appearance.log_ratio(&frame, -0.49, 0.49), MAX_LOG_RATIO);
     assert_eq!(appearance.log_ratio(&frame, 0.51, -0.49), -MAX_LOG_RATIO);
 }
 
 #[test]
-fn colours_of_one_brightness_are_told_apart() {
+fn colours_of_equal_brightness_are_distinguished() {
     let (skin, table, wall) = ([200, 150, 120], [120, 150, 200], [30, 220, 30]);
     let mut appearance = HistogramModel::new(true);
     assert!(appearance.is_coloured() && !HistogramModel::new(false).is_coloured());
@@ -202,13 +205,13 @@ fn colours_of_one_brightness_are_told_apart() {
         with_pixel(table, |frame| appearance.observe(frame, 0.0, 0.0, false));
     }
     appearance.learn();
-    let vote = |colour| with_pixel(colour, |frame| appearance.log_ratio(frame, 0.0, 0.0));
-    assert_eq!((vote(skin), vote(table), vote(wall)), (MAX_LOG_RATIO, -MAX_LOG_RATIO, 0.0));
-    assert!(vote([206, 146, 124]) > 1.0);
+    let ratio = |colour| with_pixel(colour, |frame| appearance.log_ratio(frame, 0.0, 0.0));
+    assert_eq!((ratio(skin), ratio(table), ratio(wall)), (MAX_LOG_RATIO, -MAX_LOG_RATIO, 0.0));
+    assert!(ratio([206, 146, 124]) > 1.0);
 }
 
 #[test]
-fn a_frame_without_colours_tells_a_coloured_appearance_nothing() {
+fn a_frame_without_colours_does_not_affect_a_coloured_appearance() {
     let mut appearance = HistogramModel::new(true);
     let before = appearance.clone();
     appearance.observe(&row(&[HAND]), 0.0, 0.0, true);
@@ -220,7 +223,7 @@ proptest! {
     #![proptest_config(config())]
 
     #[test]
-    fn votes_are_bounded_and_swap_with_the_sides(
+    fn ratios_are_bounded_and_antisymmetric(
         hand in prop::collection::vec(any::<u8>(), 1..60),
         background in prop::collection::vec(any::<u8>(), 1..60),
         keep in 0.0..=1.0_f32,
@@ -238,13 +241,13 @@ proptest! {
         };
         let (one, other) = (learned(&hand, &background), learned(&background, &hand));
         for level in levels() {
-            let vote = vote_for(&one, level);
-            prop_assert!(vote.abs() <= MAX_LOG_RATIO);
-            prop_assert!((vote + vote_for(&other, level)).abs() < 1e-4);
+            let ratio = ratio_of(&one, level);
+            prop_assert!(ratio.abs() <= MAX_LOG_RATIO);
+            prop_assert!((ratio + ratio_of(&other, level)).abs() < 1e-4);
         }
-        // On the whole, the hand's own levels vote for it.
-        let sum: f32 = hand.iter().map(|&level| vote_for(&one, level)).sum();
-        let against: f32 = background.iter().map(|&level| vote_for(&one, level)).sum();
+        // On average, the hand's own levels have the greater ratio.
+        let sum: f32 = hand.iter().map(|&level| ratio_of(&one, level)).sum();
+        let against: f32 = background.iter().map(|&level| ratio_of(&one, level)).sum();
         prop_assert!(sum / hand.len() as f32 >= against / background.len() as f32 - 1e-3);
     }
 }

@@ -1,4 +1,4 @@
-//! The background of a camera that keeps still: what it learns, and what it does not.
+//! The background before a still camera: learning, foreground, light, shadows and motion.
 
 use crate::common::Noise;
 use fingerpost_core::appearance::background::CELL_PX;
@@ -12,14 +12,14 @@ const WIDTH: usize = 96;
 const HEIGHT: usize = 80;
 const NOISE: f64 = 2.0;
 
-/// A table in colour: grain, and squares as markings.
+/// Colours of a table with grain and square markings.
 fn table(x: usize, y: usize) -> [f64; 3] {
     let grain = 8.0 * (0.7 * x as f64).sin();
     let mark = if (x / 16 + y / 16).is_multiple_of(2) { 40.0 } else { 0.0 };
     [70.0 + grain + mark, 90.0 + grain + mark, 110.0 + grain + mark]
 }
 
-/// A frame of `scene`, in the light `gain`, with noise.
+/// A noisy frame of a scene under the light `gain`.
 struct Shot {
     grey: Vec<u8>,
     colour: Vec<u8>,
@@ -77,7 +77,7 @@ fn map_of(background: &Background, shot: &Shot, coloured: bool) -> ForegroundMap
     map
 }
 
-/// Mean likelihood of foreground where `inside` says so, and elsewhere.
+/// Mean likelihood of foreground inside and outside a region.
 fn shares(map: &ForegroundMap, inside: impl Fn(usize, usize) -> bool) -> (f64, f64) {
     let mut sums = [(0.0, 0.0); 2];
     for (i, &cell) in map.cells.iter().enumerate() {
@@ -93,7 +93,7 @@ fn in_hand(left: usize) -> impl Fn(usize, usize) -> bool {
 }
 
 #[test]
-fn the_level_is_the_mean_and_says_how_uncertain_it_is() {
+fn the_level_is_the_mean_with_its_uncertainty() {
     let mut noise = Noise::new(0x6c65_7665);
     let background = learned(false, 40, &mut noise);
     assert!(background.is_known());
@@ -106,14 +106,14 @@ fn the_level_is_the_mean_and_says_how_uncertain_it_is() {
             squares.1 += expected.sigma_grey * expected.sigma_grey;
         }
     }
-    // Its own noise, and not much more: the claimed variance is the true one within a third.
+    // The reported variance is the true one to within a third.
     let ratio: f64 = squares.0 / squares.1;
     assert!((0.67..1.5).contains(&ratio), "{ratio}");
     assert!((squares.1 / (WIDTH * HEIGHT) as f64).sqrt() < NOISE / 2.0);
 }
 
 #[test]
-fn between_pixels_it_is_bilinear_and_outside_there_is_none() {
+fn levels_are_interpolated_bilinearly_and_undefined_outside() {
     let ramp: Vec<u8> = (0..64 * 32).map(|i| (2 * (i % 64)) as u8).collect();
     let mut background = Background::new(BackgroundOptions::default()).unwrap();
     for _ in 0..9 {
@@ -130,7 +130,7 @@ fn between_pixels_it_is_bilinear_and_outside_there_is_none() {
 }
 
 #[test]
-fn a_hand_that_passes_is_foreground_and_is_not_learned() {
+fn a_passing_hand_is_foreground_and_not_learned() {
     for coloured in [false, true] {
         let mut noise = Noise::new(0x7061_7373);
         let mut background = learned(coloured, 12, &mut noise);
@@ -147,7 +147,7 @@ fn a_hand_that_passes_is_foreground_and_is_not_learned() {
 }
 
 #[test]
-fn a_hand_in_the_first_frames_leaves_no_ghost_for_long() {
+fn a_hand_in_the_first_frames_leaves_no_lasting_ghost() {
     let mut noise = Noise::new(0x6768_6f73);
     let mut background = Background::new(BackgroundOptions::default()).unwrap();
     let mut last = None;
@@ -165,7 +165,7 @@ fn a_hand_in_the_first_frames_leaves_no_ghost_for_long() {
 }
 
 #[test]
-fn what_is_put_down_becomes_background_after_as_long_however_old_that_is() {
+fn a_new_object_is_absorbed_after_a_fixed_time_at_any_age_of_the_background() {
     let absorb = BackgroundOptions::default().absorb_frames;
     for frames in [20, absorb, 2 * absorb] {
         let mut noise = Noise::new(0x7075_7464);
@@ -176,7 +176,7 @@ fn what_is_put_down_becomes_background_after_as_long_however_old_that_is() {
             shot.with(true, |f| background.observe(f, None)).unwrap();
             seen.push(shares(&map_of(&background, &shot, true), in_hand(40)).0);
         }
-        // A background of few frames is not as hard to change.
+        // A background of few frames changes sooner.
         let kept = if frames < absorb { 10 } else { absorb * 2 / 3 };
         assert!(seen[kept] > 0.9, "after {frames}: {}", seen[kept]);
         let late = absorb + absorb / 3;
@@ -185,14 +185,14 @@ fn what_is_put_down_becomes_background_after_as_long_however_old_that_is() {
 }
 
 #[test]
-fn what_is_forgotten_is_known_again_at_once() {
+fn a_forgotten_region_is_relearned_at_once() {
     let mut noise = Noise::new(0x666f_7267);
     let mut background = learned(true, 2 * BackgroundOptions::default().absorb_frames, &mut noise);
     let part =
         KeepOut { from: Point2::new(20.0, 30.0), to: Point2::new(60.0, 48.0), radius_px: 9.0 };
     background.forget(&part).unwrap();
     assert_eq!(background.expected(40.0, 39.0), None);
-    // Four visits of every fourth pair of rows.
+    // Every fourth pair of rows is visited four times.
     for _ in 0..16 {
         let shot = Shot::of(table, 1.0, &mut noise);
         shot.with(true, |f| background.observe(f, None)).unwrap();
@@ -201,7 +201,7 @@ fn what_is_forgotten_is_known_again_at_once() {
 }
 
 #[test]
-fn images_of_odd_sizes_are_learned_in_colour_beside_what_is_kept_out() {
+fn images_of_odd_sizes_are_learned_outside_the_kept_out_region() {
     for (width, height) in [(1, 1), (7, 5), (33, 3)] {
         let (grey, colour) = (vec![90; width * height], vec![80; 3 * width * height]);
         let end = Point2::new(width as f64, height as f64);
@@ -231,7 +231,7 @@ fn a_kept_out_hand_is_never_learned() {
         shot.with(true, |f| background.observe(f, Some(&keep_out))).unwrap();
     }
     let along = keep_out.to - keep_out.from;
-    // Forgetting it afterwards is as good as never having learned it.
+    // Forgetting the region later has the same effect.
     let mut forgotten = learned(true, 40, &mut noise);
     forgotten.forget(&keep_out).unwrap();
     for y in 0..HEIGHT {
@@ -249,7 +249,7 @@ fn a_kept_out_hand_is_never_learned() {
 }
 
 #[test]
-fn the_light_may_drop_by_forty_percent_while_a_hand_is_there() {
+fn the_light_may_drop_by_forty_percent_during_a_hand() {
     for coloured in [false, true] {
         let mut noise = Noise::new(0x6c69_6768);
         let mut background = learned(coloured, 12, &mut noise);
@@ -268,14 +268,14 @@ fn the_light_may_drop_by_forty_percent_while_a_hand_is_there() {
 }
 
 #[test]
-fn a_shadow_is_told_from_a_hand_by_its_hue() {
+fn a_shadow_is_distinguished_from_a_hand_by_its_hue() {
     let mut noise = Noise::new(0x7368_6164);
     let background = learned(true, 12, &mut noise);
     let shaded =
         |x: usize, y: usize| table(x, y).map(|c| if in_hand(20)(x, y) { 0.6 * c } else { c });
     let shot = Shot::of(shaded, 1.0, &mut noise);
     let (shadow, _) = shares(&map_of(&background, &shot, true), in_hand(20));
-    // As dark as the shadow, but of another colour.
+    // A hand as dark as the shadow, but of another colour.
     let dark = |x: usize, y: usize| {
         let [b, g, r] = table(x, y);
         if in_hand(20)(x, y) { [0.45 * b, 0.55 * g, 0.75 * r] } else { [b, g, r] }
@@ -287,7 +287,7 @@ fn a_shadow_is_told_from_a_hand_by_its_hue() {
 }
 
 #[test]
-fn a_camera_that_moves_voids_the_background_and_one_that_keeps_still_learns_it_anew() {
+fn a_moving_camera_voids_the_background_and_a_still_one_relearns_it() {
     let mut noise = Noise::new(0x6d6f_7665);
     let mut background = learned(false, 20, &mut noise);
     let moved = |k: usize| move |x: usize, y: usize| table(x + 3 * k, y + k);
@@ -307,7 +307,7 @@ fn a_camera_that_moves_voids_the_background_and_one_that_keeps_still_learns_it_a
 }
 
 #[test]
-fn looking_learns_nothing_and_learning_follows() {
+fn looking_then_learning_equals_observing() {
     let mut noise = Noise::new(0x6c6f_6f6b);
     let mut looked = learned(false, 20, &mut noise);
     let mut observed = looked.clone();
@@ -316,7 +316,7 @@ fn looking_learns_nothing_and_learning_follows() {
         let before = looked.expected(5.0, 5.0).unwrap();
         shot.with(false, |f| looked.look(f));
         assert!((looked.light().gain - 0.8).abs() < 0.02);
-        // What it expects is what it knew, in the light of this frame.
+        // The expected level is the known one under the light of this frame.
         let now = looked.expected(5.0, 5.0).unwrap();
         assert!(k > 0 || (now.grey - 0.8 * before.grey).abs() < 2.0, "{before:?} {now:?}");
         shot.with(false, |f| looked.learn(f, None)).unwrap();
@@ -326,8 +326,8 @@ fn looking_learns_nothing_and_learning_follows() {
 }
 
 #[test]
-fn a_bump_of_a_part_of_a_pixel_is_noticed_and_learned() {
-    // Ramps of 8 grey levels a pixel, smooth enough to be drawn anywhere between the pixels.
+fn a_subpixel_shift_is_detected_and_learned() {
+    // Gradients of 8 grey levels per pixel, smooth enough for any subpixel shift.
     let waves = |du: f64| {
         move |x: usize, y: usize| {
             let (u, v) = (x as f64 + du, y as f64 - 0.5 * du);
@@ -336,31 +336,31 @@ fn a_bump_of_a_part_of_a_pixel_is_noticed_and_learned() {
     };
     let mut noise = Noise::new(0x6275_6d70);
     let mut background = Background::new(BackgroundOptions::default()).unwrap();
-    let mut see = |du: f64, background: &mut Background| {
+    let mut show = |du: f64, background: &mut Background| {
         let shot = Shot::of(waves(du), 1.0, &mut noise);
         shot.with(false, |f| background.observe(f, None)).unwrap();
     };
     for _ in 0..30 {
-        see(0.0, &mut background);
+        show(0.0, &mut background);
     }
     assert!(background.is_exact(), "{:?}", background.shift_px());
     for du in [0.3, -0.4, 0.6] {
         let mut bumped = background.clone();
-        see(du, &mut bumped);
+        show(du, &mut bumped);
         let shift = bumped.shift_px().unwrap();
-        // The scene moves against the camera, and linear is what the gradient can tell.
+        // The scene moves opposite to the camera; the estimate is linear in the gradient.
         assert!((shift.x + du).abs() < 0.1 && (shift.y - 0.5 * du).abs() < 0.1, "{du}: {shift:?}");
         assert!(!bumped.is_exact());
         for _ in 0..60 {
-            see(du, &mut bumped);
+            show(du, &mut bumped);
         }
         assert!(bumped.is_exact(), "{du}: {:?}", bumped.shift_px());
     }
 }
 
 #[test]
-fn edges_that_all_run_one_way_tell_no_shift_along_them() {
-    // Stripes, upright and aslant; only across them can a shift be seen.
+fn parallel_edges_determine_no_shift_along_them() {
+    // Vertical and oblique stripes; only the shift across them is observable.
     for (per_px, tilt) in [(0.2, 0.0), (0.3, 0.0), (0.25, 0.35)] {
         let stripes = |du: f64| {
             move |x: usize, y: usize| {
@@ -369,19 +369,19 @@ fn edges_that_all_run_one_way_tell_no_shift_along_them() {
         };
         let mut noise = Noise::new(0x6261_7273);
         let mut background = Background::new(BackgroundOptions::default()).unwrap();
-        let mut see = |du: f64, background: &mut Background| {
+        let mut show = |du: f64, background: &mut Background| {
             let shot = Shot::of(stripes(du), 1.0, &mut noise);
             shot.with(false, |f| background.observe(f, None)).unwrap();
         };
         for k in 0..300 {
-            see(0.0, &mut background);
+            show(0.0, &mut background);
             if background.is_known() {
                 assert!(background.is_exact(), "{per_px}, frame {k}: {:?}", background.shift_px());
             }
         }
-        see(0.5, &mut background);
+        show(0.5, &mut background);
         let shift = background.shift_px().unwrap();
-        // The stripes move against the camera, and show of that the part across them.
+        // The stripes move opposite to the camera; only the component across them is observable.
         let across = Vector2::new(1.0, tilt) / (1.0 + tilt * tilt);
         assert!((shift + 0.5 * across).norm() < 0.1, "{per_px}: {shift:?}");
         assert!(!background.is_exact());
@@ -389,7 +389,7 @@ fn edges_that_all_run_one_way_tell_no_shift_along_them() {
 }
 
 #[test]
-fn a_plain_background_tells_no_shift() {
+fn a_uniform_background_determines_no_shift() {
     let mut background = Background::new(BackgroundOptions::default()).unwrap();
     let pixels = [90; 64 * 48];
     for _ in 0..20 {
@@ -433,7 +433,7 @@ fn the_map_covers_images_of_any_size() {
 }
 
 #[test]
-fn another_size_starts_anew() {
+fn a_new_image_size_restarts_the_learning() {
     let mut noise = Noise::new(0x7369_7a65);
     let mut background = learned(false, 20, &mut noise);
     let pixels = [10; 30];

@@ -1,4 +1,4 @@
-//! B-splines against golden data (`../golden/generate_bspline.py`), against what defines them, and on degenerate input.
+//! B-splines: golden data (`../golden/generate_bspline.py`), defining properties, degenerate input.
 
 use fingerpost_core::Error;
 use fingerpost_core::geometry::bspline::{BSpline, Degree, Parametrization};
@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
 use serde_json::Value;
 
-/// To what the golden data have to be met. The golden curves are of size 1, so it is absolute and relative.
+/// Tolerance of the golden data, absolute and relative, for the golden curves are of size 1.
 const ORACLE_TOLERANCE: f64 = 1e-10;
 
 /// Rounding of a handful of operations on numbers of size 1.
@@ -120,8 +120,8 @@ mod golden {
     }
 }
 
-/// B-splines of both degrees, open and closed, with repeated knots as often as not.
-/// `spans` are the distances between different knots.
+/// B-splines of both degrees, open and closed, half of them with repeated knots.
+/// `spans` are the distances between distinct knots.
 fn splines(spans: impl Strategy<Value = f64>) -> impl Strategy<Value = BSpline> {
     let degree = prop_oneof![Just(Degree::Quadratic), Just(Degree::Cubic)];
     let knots = prop::collection::vec((spans, prop_oneof![Just(1_usize), 1..4_usize]), 5..9);
@@ -194,7 +194,7 @@ proptest! {
     }
 
     #[test]
-    fn the_indices_of_a_row_are_control_points_one_after_another(
+    fn the_indices_of_a_row_are_consecutive_control_points(
         spline in usual_splines(),
         fraction in 0.0..=1.0,
     ) {
@@ -210,9 +210,9 @@ proptest! {
     }
 
     #[test]
-    fn derivatives_meet_central_differences((spline, control_points) in curves()) {
+    fn derivatives_match_central_differences((spline, control_points) in curves()) {
         // Inside a span the curve is a polynomial of degree 3 at most. Two central differences
-        // extrapolated to step 0 are its first derivative, one is its second, but for rounding.
+        // extrapolated to step 0 equal its first derivative, one equals its second, up to rounding.
         for pair in different_knots(&spline).windows(2) {
             let (t, step) = (0.5 * (pair[0] + pair[1]), 0.2 * (pair[1] - pair[0]));
             let position = |t| spline.evaluate(&control_points, t).unwrap().position.coords;
@@ -245,7 +245,7 @@ proptest! {
     }
 
     #[test]
-    fn a_knot_takes_one_derivative_per_repeat((spline, control_points) in curves()) {
+    fn each_repeat_of_a_knot_removes_one_derivative((spline, control_points) in curves()) {
         let (start, end) = spline.domain();
         let period = end - start;
         let is_at = |knot: f64, other: f64| {
@@ -255,14 +255,14 @@ proptest! {
         for &knot in different_knots(&spline).iter().rev() {
             let at_end = knot >= end;
             if knot <= start || (at_end && !spline.is_closed()) {
-                continue; // the start of a closed curve is met at its end
+                continue; // the start of a closed curve is tested at its end
             }
             let repeats = spline.knots().iter().filter(|&&other| is_at(knot, other)).count()
                 - usize::from(at_end); // the seam is in the list at both ends
             let smooth = spline.degree() as usize - repeats;
             let left = spline.evaluate(&control_points, knot.next_down()).unwrap();
             let right = spline.evaluate(&control_points, knot).unwrap();
-            // At the knot itself the derivatives are those from the right.
+            // At the knot itself, derivatives are those from the right.
             let beyond = spline.evaluate(&control_points, knot.next_up()).unwrap();
             prop_assert!((beyond.first_derivative - right.first_derivative).norm() < 1e-9);
             prop_assert!((beyond.second_derivative - right.second_derivative).norm() < 1e-8);
@@ -277,7 +277,7 @@ proptest! {
     }
 
     #[test]
-    fn a_closed_curve_repeats_itself(
+    fn a_closed_curve_is_periodic(
         (spline, control_points) in curves().prop_filter("closed", |(s, _)| s.is_closed()),
         fraction in prop_oneof![Just(0.0), 0.0..1.0],
         periods in -5..5_i32,
@@ -320,7 +320,7 @@ proptest! {
     }
 
     #[test]
-    fn a_fit_recovers_a_curve_that_is_a_spline((spline, control_points) in curves()) {
+    fn a_fit_recovers_a_spline((spline, control_points) in curves()) {
         let parameters: Vec<f64> = different_knots(&spline)
             .windows(2)
             .flat_map(|pair| [0.03, 0.25, 0.5, 0.75, 0.97].map(|x| pair[0] + x * (pair[1] - pair[0])))
@@ -353,7 +353,7 @@ proptest! {
         let map = |point: &Point2<f64>| similarity * point + Vector2::new(u, v);
         let mapped: Vec<_> = outline.iter().map(map).collect();
         for parametrization in [Parametrization::ChordLength, Parametrization::Centripetal] {
-            // 30 points do not determine every one of these splines, nor all of them well.
+            // 30 points do not determine all of these splines, and some only badly.
             let fit = match spline.fit(&outline, parametrization) {
                 Err(Error::UndeterminedControlPoints { .. }) => continue,
                 fit => fit.unwrap(),
@@ -362,7 +362,8 @@ proptest! {
                 continue;
             }
             let fit_of_mapped = spline.fit(&mapped, parametrization).unwrap();
-            // Rounding moves the parameters too: its effect grows with the condition's square.
+            // Rounding also moves the parameters; its effect grows with the square of the
+            // condition.
             let tolerance = 1e-12 * fit.condition.powi(2) * (scale + u.abs() + v.abs());
             for (a, b) in fit.control_points.iter().zip(&fit_of_mapped.control_points) {
                 prop_assert!((map(a) - b).norm() < tolerance);
@@ -382,7 +383,7 @@ proptest! {
         let arc_length = match spline.arc_length(&control_points) {
             Ok(arc_length) => arc_length,
             Err(error) => {
-                // Control points are often zero, and then sometimes all.
+                // Control points are often zero, sometimes all of them.
                 prop_assert!(control_points.iter().all(|point| *point == control_points[0]));
                 prop_assert_eq!(error, Error::UnusableLength { what: "control polygon", length: 0.0 });
                 return Ok(());
@@ -436,8 +437,8 @@ fn sample(spline: &BSpline, control_points: &[Point2<f64>], at: &[f64]) -> Vec<P
     at.iter().map(|&t| spline.evaluate(control_points, t).unwrap().position).collect()
 }
 
-/// The length of a polygon with many corners on the curve, its knots among them: an independent
-/// measure of arc length, good to 5 · 10⁻⁴.
+/// Length of a polygon with many corners on the curve, including its knots: an independent
+/// measure of arc length, accurate to 5 · 10⁻⁴.
 fn polygon_length(spline: &BSpline, control_points: &[Point2<f64>], from: f64, to: f64) -> f64 {
     const SIDES: u32 = 100; // per knot span
     let mut breaks = different_knots(spline);
@@ -466,7 +467,7 @@ fn a_knot_repeated_degree_times_is_a_corner() {
         (Degree::Cubic, &[0.0, 1.0, 2.0, 2.0, 2.0, 3.0]),
     ] {
         let spline = BSpline::open_clamped(degree, breaks).unwrap();
-        // One basis function alone acts at the knot; from there the polygon turns left.
+        // Only one basis function is non-zero at the knot; there the polygon turns left.
         let corner = spline.basis(2.0).unwrap().first();
         let polygon: Vec<_> = (0..spline.control_point_count())
             .map(|i| Point2::new(i.min(corner) as f64, i.saturating_sub(corner) as f64))
@@ -503,7 +504,7 @@ fn computed_parameters_follow_the_chords() {
 }
 
 #[test]
-fn the_first_point_of_a_closed_outline_may_come_again_at_its_end() {
+fn the_first_point_of_a_closed_outline_may_be_repeated_at_its_end() {
     let mut outline: Vec<_> = (0..20)
         .map(|i| f64::from(i).to_radians() * 18.0)
         .map(|angle| Point2::new(3.0 * angle.cos(), 2.0 * angle.sin()))
@@ -513,12 +514,12 @@ fn the_first_point_of_a_closed_outline_may_come_again_at_its_end() {
     outline.push(outline[0]);
     let twice = spline.fit(&outline, Parametrization::ChordLength).unwrap();
     assert_eq!(twice.parameters[..20], once.parameters);
-    // The point weighs twice now, and moves the curve a little.
+    // The point now has double weight and moves the curve slightly.
     assert!((twice.max_residual / once.max_residual - 1.0).abs() < 0.1);
 }
 
 #[test]
-fn an_outline_that_leaves_control_points_free_is_refused() {
+fn an_outline_that_does_not_determine_all_control_points_is_refused() {
     let circle: Vec<_> = (0..40)
         .map(|i| f64::from(i).to_radians() * 9.0)
         .map(|angle| Point2::new(angle.cos(), angle.sin()))
@@ -531,11 +532,11 @@ fn an_outline_that_leaves_control_points_free_is_refused() {
         assert_eq!(control_points, spline.control_point_count());
         rank
     };
-    // All in [0, 4) of [0, 8): the functions that start at 4 and later see nothing.
+    // All in [0, 4) of [0, 8): the functions that start at 4 or later have no data.
     let half: Vec<f64> = (0..40).map(|i| f64::from(i) * 0.1).collect();
     assert_eq!(refused(BSpline::open_uniform(Degree::Cubic, 11).unwrap(), &half), 7);
     assert_eq!(refused(BSpline::closed_uniform(Degree::Cubic, 8).unwrap(), &half), 7);
-    // Every function sees a point, but three places cannot tell six functions apart.
+    // Every function has data, but three places do not determine six coefficients.
     let places: Vec<f64> = (0..40).map(|i| f64::from(i % 3) * 1.2 + 0.3).collect();
     assert_eq!(refused(BSpline::open_uniform(Degree::Cubic, 6).unwrap(), &places), 3);
     assert_eq!(refused(BSpline::open_uniform(Degree::Quadratic, 3).unwrap(), &[0.5; 40]), 1);
@@ -559,8 +560,8 @@ fn the_arc_length_of_a_cusp_is_exact() {
 }
 
 #[test]
-fn a_curve_that_turns_back_or_halts_is_measured() {
-    // u = 2t(1 − t): half a unit forth and half a unit back.
+fn the_arc_length_of_a_reversing_or_stopping_curve() {
+    // u = 2t(1 − t): half a unit forward and back.
     let spline = BSpline::open_uniform(Degree::Quadratic, 3).unwrap();
     let arc_length = spline.arc_length(&on_a_line([0.0, 1.0, 0.0])).unwrap();
     assert!((arc_length.total() - 1.0).abs() < 1e-10);
@@ -580,7 +581,7 @@ fn a_curve_that_turns_back_or_halts_is_measured() {
 }
 
 #[test]
-fn arc_length_goes_round_a_closed_curve() {
+fn the_arc_length_of_a_closed_curve_is_periodic() {
     let spline = BSpline::closed_uniform(Degree::Cubic, 4).unwrap();
     let square = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)].map(|(u, v)| Point2::new(u, v));
     let arc_length = spline.arc_length(&square).unwrap();
@@ -596,7 +597,7 @@ fn arc_length_goes_round_a_closed_curve() {
 }
 
 #[test]
-fn arc_length_does_not_depend_on_place_and_scale() {
+fn arc_length_is_invariant_to_position_and_scale() {
     let spline = BSpline::open_clamped(Degree::Cubic, &[0.0, 1e-7, 1.0, 1.0, 5.0]).unwrap();
     // Multiples of 2⁻⁴, so that the shifts and scales below are exact.
     let curve: Vec<_> = [(0, 0), (5, 9), (-3, 2), (8, 8), (1, -6), (0, 7), (2, 2)]
@@ -615,7 +616,7 @@ fn arc_length_does_not_depend_on_place_and_scale() {
 }
 
 #[test]
-fn knots_that_make_no_curve_are_refused() {
+fn invalid_knots_are_refused() {
     let quadratic = |knots: &[f64]| BSpline::open(Degree::Quadratic, knots).unwrap_err();
     let closed = |knots: &[f64]| BSpline::closed(Degree::Quadratic, knots).unwrap_err();
     let too_few = |what, given, needed| Error::TooFew { what, given, needed };
@@ -627,7 +628,7 @@ fn knots_that_make_no_curve_are_refused() {
     let points = || too_few("control points", 3, 4);
     assert_eq!(BSpline::open_uniform(Degree::Cubic, 3), Err(points()));
     assert_eq!(BSpline::closed_uniform(Degree::Cubic, 3), Err(points()));
-    // None is made that memory could not hold.
+    // The number of control points is limited to bound the memory.
     let most = 1 << 20;
     assert_eq!(BSpline::open_uniform(Degree::Quadratic, most).unwrap().control_point_count(), most);
     for n in [most + 1, usize::MAX - 1, usize::MAX] {
@@ -674,7 +675,7 @@ fn knots_that_make_no_curve_are_refused() {
 }
 
 #[test]
-fn a_parameter_where_there_is_no_curve_is_refused() {
+fn a_parameter_outside_the_domain_is_refused() {
     let spline = BSpline::open_uniform(Degree::Quadratic, 4).unwrap();
     for parameter in [0.0_f64.next_down(), 2.0_f64.next_up()] {
         assert_eq!(
@@ -691,7 +692,7 @@ fn a_parameter_where_there_is_no_curve_is_refused() {
 }
 
 #[test]
-fn control_points_that_make_no_curve_are_refused() {
+fn invalid_control_points_are_refused() {
     let spline = BSpline::open_uniform(Degree::Quadratic, 3).unwrap();
     let wrong_count = Error::WrongCount { what: "control points", given: 2, needed: 3 };
     let two = on_a_line([0.0, 1.0]);

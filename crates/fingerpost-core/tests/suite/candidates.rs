@@ -1,5 +1,4 @@
-//! Where a hand may be: the true finger is among the first candidates, wherever it is and whatever
-//! it looks like.
+//! Candidates for hands: the true finger is among the first ones at any place, size and appearance.
 
 use crate::common::{Canvas, HalfPlane, Hand, Noise, Picture};
 use fingerpost_core::appearance::background::Background;
@@ -19,7 +18,7 @@ fn canvas() -> Canvas {
     Canvas::new(WIDTH, HEIGHT, TABLE)
 }
 
-/// A hand with its fist: a bare finger ends at both ends like one.
+/// A hand with its fist; a finger alone has two ends that resemble tips.
 fn with_hand(canvas: Canvas, hand: &Hand, grey: f64) -> Canvas {
     let fist = Hand {
         tip_px: hand.tip_px - hand.direction() * (0.75 * hand.length_px),
@@ -31,7 +30,7 @@ fn with_hand(canvas: Canvas, hand: &Hand, grey: f64) -> Canvas {
 }
 
 fn finder() -> HandFinder {
-    // The image is small for the hand in it.
+    // The hand is large relative to the image.
     let options = FinderOptions { max_half_width: 0.05, ..FinderOptions::default() };
     HandFinder::new(options).unwrap()
 }
@@ -40,7 +39,7 @@ fn found(picture: &Picture) -> Vec<Candidate> {
     finder().find(&picture.view().into(), None).to_vec()
 }
 
-/// The place among the candidates of the one that is a hand, within what a fit can make good.
+/// Rank of the first candidate close enough to the hand for a fit to converge.
 fn rank(candidates: &[Candidate], hand: &Hand) -> Option<usize> {
     candidates.iter().position(|c| {
         let turned = (c.angle_rad - hand.angle_rad + PI).rem_euclid(TAU) - PI;
@@ -50,7 +49,7 @@ fn rank(candidates: &[Candidate], hand: &Hand) -> Option<usize> {
     })
 }
 
-/// A hand anywhere in the image, of any usual size.
+/// A hand of a random usual size at a random place in the image.
 fn any_hand(thumb: Thumb, noise: &mut Noise) -> Hand {
     let length_px = noise.between(45.0, 90.0);
     let tip = Point2::new(noise.between(60.0, 260.0), noise.between(60.0, 180.0));
@@ -72,9 +71,9 @@ fn a_finger_is_found_at_any_place_angle_and_size() {
 }
 
 #[test]
-fn the_side_of_the_thumb_is_told() {
+fn the_side_of_the_thumb_is_identified() {
     let mut noise = Noise::new(0x7468_756d);
-    let mut told = 0;
+    let mut correct = 0;
     for k in 0..20 {
         let thumb = if k % 2 == 0 { Thumb::Left } else { Thumb::Right };
         let hand = any_hand(thumb, &mut noise);
@@ -82,18 +81,18 @@ fn the_side_of_the_thumb_is_told() {
         let candidates = found(&picture);
         let place = rank(&candidates, &hand).expect("the finger is a candidate");
         assert!(place < 3, "{k}: {place}");
-        told += usize::from(candidates[place].thumb == thumb);
+        correct += usize::from(candidates[place].thumb == thumb);
     }
-    assert!(told >= 17, "{told} of 20");
+    assert!(correct >= 17, "{correct} of 20");
 }
 
 #[test]
-fn an_edge_of_the_table_behind_the_finger_does_no_harm() {
+fn a_table_edge_behind_the_finger_does_not_prevent_detection() {
     let mut noise = Noise::new(0x6564_6765);
     for k in 0..20 {
         let hand = any_hand(Thumb::None, &mut noise);
         let edge = HalfPlane::beyond(hand.tip_px, noise.between(-PI, PI), -25.0);
-        // Brighter than the finger on one side, darker on the other.
+        // The background is brighter than the finger on one side, darker on the other.
         let scene = with_hand(canvas().paint(&edge, 210.0), &hand, 140.0);
         let picture = scene.blur(0.9).take(2.0, &mut noise);
         let candidates = found(&picture);
@@ -114,7 +113,7 @@ fn an_empty_table_has_no_candidates() {
 }
 
 #[test]
-fn what_has_come_into_view_goes_first() {
+fn new_foreground_ranks_first() {
     let mut noise = Noise::new(0x636f_6d65);
     let pen = Hand::usual(Thumb::None, Point2::new(50.0, 205.0), 3.0, 60.0);
     let hand = Hand::usual(Thumb::None, Point2::new(200.0, 140.0), 0.7, 60.0);
@@ -132,12 +131,12 @@ fn what_has_come_into_view_goes_first() {
     assert!(candidates[0].foreground > 0.9);
     let there = rank(&candidates, &pen).expect("the pen is a candidate");
     assert!(candidates[there].foreground < 0.1);
-    // Without the background the pen, of more contrast, is at least as good.
+    // Without the background, the pen ranks at least as high, for its contrast is greater.
     assert!(rank(&found(&picture), &pen).is_some_and(|place| place < 2));
 }
 
 #[test]
-fn colours_show_a_finger_that_grey_levels_hide() {
+fn a_finger_is_found_by_colour_without_contrast_in_grey() {
     let mut noise = Noise::new(0x636f_6c6f);
     let hand = Hand::usual(Thumb::None, Point2::new(180.0, 130.0), 2.0, 70.0);
     let flat = canvas().take(1.0, &mut noise);
@@ -167,7 +166,7 @@ fn images_of_any_size_are_searched() {
 }
 
 #[test]
-fn a_band_is_like_a_finger_where_one_is() {
+fn the_likeness_is_greatest_at_the_finger() {
     let mut noise = Noise::new(0x6c69_6b65);
     for k in 0..20 {
         let hand = any_hand(Thumb::None, &mut noise);
@@ -178,10 +177,10 @@ fn a_band_is_like_a_finger_where_one_is() {
         let along = hand.direction();
         let here = likeness(hand.tip_px, 0.0).unwrap().unwrap();
         assert!(here > 0.9, "{k}: {here}");
-        let aside = nalgebra::Vector2::new(-along.y, along.x);
+        let lateral = nalgebra::Vector2::new(-along.y, along.x);
         for (tip, turn) in [
             (hand.tip_px - along * (4.0 * w), 0.0),
-            (hand.tip_px + aside * w, 0.0),
+            (hand.tip_px + lateral * w, 0.0),
             (hand.tip_px + along * (6.0 * w), 0.0),
             (hand.tip_px - along * (2.0 * w), PI),
         ] {
@@ -191,11 +190,11 @@ fn a_band_is_like_a_finger_where_one_is() {
     }
 }
 
-/// Grey levels and colours of a hand that a lamp lights on one side of its finger's axis; the other side has
-/// two fifths of the light.
+/// Grey levels and colours of a hand lit on one side of its finger's axis; the other side has two
+/// fifths of the light.
 fn half_lit(hand: &Hand, skin: [f64; 3], table: [f64; 3], noise: &mut Noise) -> (Picture, Vec<u8>) {
-    let aside = nalgebra::Vector2::new(-hand.direction().y, hand.direction().x);
-    let dark_side = HalfPlane::beyond(hand.tip_px, aside.y.atan2(aside.x) + PI, 0.0);
+    let lateral = nalgebra::Vector2::new(-hand.direction().y, hand.direction().x);
+    let dark_side = HalfPlane::beyond(hand.tip_px, lateral.y.atan2(lateral.x) + PI, 0.0);
     let channels = [0, 1, 2].map(|c| {
         let [lit, dark] = [1.0, 0.4]
             .map(|light| with_hand(Canvas::new(WIDTH, HEIGHT, table[c]), hand, light * skin[c]));
@@ -212,7 +211,7 @@ fn half_lit(hand: &Hand, skin: [f64; 3], table: [f64; 3], noise: &mut Noise) -> 
 }
 
 #[test]
-fn a_half_lit_band_is_like_a_finger_by_its_chromaticity() {
+fn a_half_lit_finger_is_detected_by_its_chromaticity() {
     const SKIN: [f64; 3] = [90.0, 110.0, 160.0];
     let mut noise = Noise::new(0x6861_6c66);
     for k in 0..20 {
@@ -227,14 +226,14 @@ fn a_half_lit_band_is_like_a_finger_by_its_chromaticity() {
         };
         let before_brown = likeness([41.0, 46.0, 54.0], &mut noise);
         assert!(before_brown > 0.85, "{k}: {before_brown}");
-        // A table of the skin's own colour, as dark as its shade, leaves one flank alone.
+        // Before a table of the shaded skin's colour, only one flank is visible.
         let before_skin = likeness(SKIN.map(|c| 0.4 * c), &mut noise);
         assert!(before_skin < 0.8 * before_brown, "{k}: {before_skin} of {before_brown}");
     }
 }
 
 #[test]
-fn a_band_outside_of_the_image_is_like_nothing() {
+fn a_band_outside_the_image_has_no_likeness() {
     let picture = canvas().take(2.0, &mut Noise::new(0x6f75_7473));
     let frame: Frame<'_> = picture.view().into();
     let outside = Point2::new(-100.0, 40.0);
@@ -248,7 +247,7 @@ fn a_band_outside_of_the_image_is_like_nothing() {
 }
 
 #[test]
-fn no_more_are_given_than_wanted() {
+fn the_number_of_candidates_is_limited() {
     let mut noise = Noise::new(0x6d61_6e79);
     let options = FinderOptions { candidates: 2, ..FinderOptions::default() };
     let pixels: Vec<u8> = (0..WIDTH * HEIGHT)

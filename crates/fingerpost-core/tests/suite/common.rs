@@ -1,14 +1,14 @@
-//! Rendered edges and hands whose truth is known exactly.
+//! Rendered edges and hands with exact ground truth.
 //!
-//! Shapes are painted by the area that they cover of each pixel; the image is then blurred by a
-//! Gaussian, gets white noise and is rounded to 8 bits, as a camera would do it. A straight edge so
-//! painted stands where the shape says, at any angle; a round one to within 1/(24 r) px.
+//! A shape is painted by the area that it covers of each pixel. The image is then blurred by a
+//! Gaussian, gets white noise and is rounded to 8 bits, as by a camera. A straight edge is rendered
+//! at its exact position at any angle; an edge of radius r, to within 1/(24 r) px.
 
 use fingerpost_core::geometry::template::{HALF_LENGTH, Proportions, Thumb};
 use fingerpost_core::image::gray::GrayView;
 use fingerpost_core::nalgebra::{Point2, Vector2};
 
-/// White noise: SplitMix64, made normal by Box and Muller.
+/// White Gaussian noise: SplitMix64 with the Box–Muller transform.
 #[derive(Debug, Clone)]
 pub struct Noise {
     state: u64,
@@ -26,31 +26,31 @@ impl Noise {
         z ^ (z >> 31)
     }
 
-    /// In [0, 1).
+    /// Uniform in [0, 1).
     pub fn uniform(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// In [low, high).
+    /// Uniform in [low, high).
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()
     }
 
-    /// Mean 0, standard deviation 1.
+    /// Standard normal.
     pub fn normal(&mut self) -> f64 {
         let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
         radius * (std::f64::consts::TAU * self.uniform()).cos()
     }
 }
 
-/// A region of the image plane with a boundary that looks straight from a pixel's distance.
+/// A region of the image plane whose boundary is nearly straight on the scale of a pixel.
 pub trait Shape {
-    /// A depth that a point lies inside, negative outside \[px\], and the unit normal outward
-    /// there: the distance to the boundary near it, and nowhere more than that.
+    /// Depth of a point inside the region, negative outside \[px\], and the outward unit normal.
+    /// Near the boundary its magnitude is the distance to it; elsewhere it is at most that.
     fn depth(&self, at: Point2<f64>) -> (f64, Vector2<f64>);
 }
 
-/// Everything on the inner side of a straight line.
+/// The inner side of a straight line.
 #[derive(Debug, Clone, Copy)]
 pub struct HalfPlane {
     pub through: Point2<f64>,
@@ -58,7 +58,7 @@ pub struct HalfPlane {
 }
 
 impl HalfPlane {
-    /// An edge `offset_px` outward from `at`, along the normal at `angle_rad`.
+    /// A half-plane with its edge `offset_px` outward from `at`, along the normal at `angle_rad`.
     pub fn beyond(at: Point2<f64>, angle_rad: f64, offset_px: f64) -> Self {
         let outward = Vector2::new(angle_rad.cos(), angle_rad.sin());
         Self { through: at + outward * offset_px, outward }
@@ -104,7 +104,7 @@ impl Shape for Band {
     }
 }
 
-/// A hand as the band template describes it: what a tracker has to find.
+/// A hand with the geometry of the band template, to be found by a tracker.
 #[derive(Debug, Clone, Copy)]
 pub struct Hand {
     /// Apex of the index finger \[px\].
@@ -122,17 +122,17 @@ pub struct Hand {
 pub struct RenderedThumb {
     /// +1 on the right of the pointing direction, −1 on the left.
     pub side: f64,
-    /// From the apex of the finger back to where the axes meet \[px\].
+    /// From the apex of the finger back to the intersection of the axes \[px\].
     pub root_px: f64,
-    /// Between the two axes.
+    /// Angle between the two axes.
     pub angle_rad: f64,
-    /// From there to the thumb's apex \[px\].
+    /// From the intersection to the thumb's apex \[px\].
     pub length_px: f64,
     pub half_width_px: f64,
 }
 
 impl Hand {
-    /// The hand that the usual template of this size is made for.
+    /// The hand of the usual template at this size.
     pub fn usual(thumb: Thumb, tip_px: Point2<f64>, angle_rad: f64, length_px: f64) -> Self {
         let proportions = Proportions::usual(thumb);
         let thumb = proportions.thumb.map(|(side, thumb)| RenderedThumb {
@@ -160,7 +160,7 @@ impl Shape for Hand {
     fn depth(&self, at: Point2<f64>) -> (f64, Vector2<f64>) {
         let along = self.direction();
         let end = self.tip_px - along * self.half_width_px;
-        // The back of the finger goes on beyond the knuckle, as a fist would.
+        // The finger extends beyond the knuckle, like a fist.
         let length_px = 1.3 * self.length_px;
         let Self { half_width_px, taper, .. } = *self;
         let finger = Band { end, along, length_px, half_width_px, taper }.depth(at);
@@ -175,12 +175,12 @@ impl Shape for Hand {
     }
 }
 
-/// A finger that is bent where its two parts meet.
+/// A finger of two parts, bent at the joint.
 #[derive(Debug, Clone, Copy)]
 pub struct BentFinger {
-    /// Where the axes of the two parts meet \[px\].
+    /// Intersection of the axes of the two parts \[px\].
     pub joint_px: Point2<f64>,
-    /// Direction of the part with the knuckle, and the turn of the part with the tip against it.
+    /// Direction of the knuckle part, and the rotation of the tip part relative to it.
     pub angle_rad: f64,
     pub bend_rad: f64,
     /// From the joint to the apex \[px\].
@@ -189,7 +189,7 @@ pub struct BentFinger {
 }
 
 impl BentFinger {
-    /// The same finger with another bend; its part with the knuckle keeps still.
+    /// The same finger with another bend and an unchanged knuckle part.
     pub fn bent(self, bend_rad: f64) -> Self {
         Self { bend_rad, ..self }
     }
@@ -217,7 +217,7 @@ impl Shape for BentFinger {
     }
 }
 
-/// An image in the making.
+/// An image before digitisation.
 #[derive(Debug, Clone)]
 pub struct Canvas {
     width: usize,
@@ -230,19 +230,19 @@ impl Canvas {
         Self { width, height, grey: vec![grey; width * height] }
     }
 
-    /// Lays `grey` over the part of every pixel that the shape covers.
+    /// Blends `grey` into every pixel by the area that the shape covers of it.
     pub fn paint(mut self, shape: &impl Shape, grey: f64) -> Self {
         for (y, row) in self.grey.chunks_exact_mut(self.width).enumerate() {
             let mut x = 0;
             while x < row.len() {
                 let (depth, outward) = shape.depth(Point2::new(x as f64, y as f64));
-                // No point of a pixel is further from its centre than this.
+                // 1/√2 is the greatest distance of a pixel's points from its centre.
                 let clear = depth.abs() - std::f64::consts::FRAC_1_SQRT_2;
                 if clear < 0.0 {
                     row[x] += covered_part(depth, &outward) * (grey - row[x]);
                     x += 1;
                 } else {
-                    // The boundary cannot be nearer for as many pixels as that.
+                    // The boundary is at least this many pixels away.
                     let end = (x + 1 + clear as usize).min(row.len());
                     if depth > 0.0 {
                         row[x..end].fill(grey);
@@ -264,14 +264,14 @@ impl Canvas {
         let reach = (4.0 * sigma_px).ceil() as usize;
         let weight = |k: usize| (-0.5 * (k.abs_diff(reach) as f64 / sigma_px).powi(2)).exp();
         let sum: f64 = (0..=2 * reach).map(weight).sum();
-        // What each pixel counts for in the mean of `factor` blurred ones.
+        // Weight of each pixel in the mean of `factor` blurred pixels.
         let mut weights = vec![0.0; 2 * reach + factor];
         for first in 0..factor {
             for k in 0..=2 * reach {
                 weights[first + k] += weight(k) / sum / factor as f64;
             }
         }
-        // Lines come out as columns: twice, and they are lines again.
+        // The result is transposed; two passes restore the orientation.
         let shrink_lines = |grey: &[f64], length: usize| -> Vec<f64> {
             let mut padded = vec![0.0; length + 2 * reach];
             let mut columns = vec![0.0; grey.len() / factor];
@@ -291,19 +291,19 @@ impl Canvas {
         Self { width, height, grey: shrink_lines(&columns, self.height) }
     }
 
-    /// The picture that a camera takes of it.
+    /// The digitised picture with noise.
     pub fn take(&self, sigma_grey: f64, noise: &mut Noise) -> Picture {
         let bytes = self.grey.iter().map(|g| (g + sigma_grey * noise.normal()).round() as u8);
         Picture { width: self.width, height: self.height, bytes: bytes.collect() }
     }
 }
 
-/// The area of the unit square about a point on the inner side of a line `depth` away: the
-/// convolution of a step with a box along each axis.
+/// Covered area of the unit square centred at a point, for a half-plane with its edge at distance
+/// `depth`: the convolution of a step with a box along each axis.
 pub fn covered_part(depth: f64, outward: &Vector2<f64>) -> f64 {
     let (u, v) = (outward.x.abs(), outward.y.abs());
     let (long, short) = (u.max(v), u.min(v));
-    // The second box is too narrow to divide by.
+    // The second box is too narrow for the division.
     if short < 1e-6 {
         return (depth / long + 0.5).clamp(0.0, 1.0);
     }

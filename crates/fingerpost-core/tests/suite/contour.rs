@@ -1,4 +1,4 @@
-//! Contour samples against the circle and the line, whose arc length and normals are known.
+//! Contour samples on circles and lines, whose arc length and normals are known.
 
 use fingerpost_core::Error;
 use fingerpost_core::geometry::bspline::{BSpline, Degree};
@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
 use std::f64::consts::TAU;
 
-/// Arc lengths are found to 10⁻¹⁰ of a curve's size.
+/// Arc lengths are accurate to 10⁻¹⁰ of a curve's size.
 const LENGTH_TOLERANCE: f64 = 1e-9;
 const ROUNDING: f64 = 1e-12;
 
@@ -33,7 +33,7 @@ fn sides() -> impl Strategy<Value = HandSide> {
 /// image; its largest deviation from the radius.
 fn circle(centre: Point2<f64>, radius: f64, n: usize) -> (BSpline, Vec<Point2<f64>>) {
     let spline = BSpline::closed_uniform(Degree::Cubic, n).unwrap();
-    // A uniform cubic B-spline pulls a regular polygon in by this much at its knots.
+    // At its knots, a uniform cubic B-spline contracts a regular polygon by this factor.
     let pull = (2.0 + (TAU / n as f64).cos()) / 3.0;
     let control_points = (0..n)
         .map(|i| centre + Rotation2::new(TAU * i as f64 / n as f64) * Vector2::x() * radius / pull);
@@ -66,7 +66,7 @@ fn a_circle_has_even_steps_and_radial_normals() {
 
 #[test]
 fn a_line_is_sampled_at_the_middles_of_its_steps() {
-    // Unevenly spaced control points: even in length is not even in the parameter.
+    // With uneven control points, equal arc lengths are not equal parameter steps.
     let spline = BSpline::open_uniform(Degree::Cubic, 6).unwrap();
     let (start, along) = (Point2::new(3.0, 5.0), Vector2::new(0.6, 0.8));
     let control_points = [0.0, 1.0, 2.0, 30.0, 31.0, 100.0].map(|s| start + along * s);
@@ -85,7 +85,7 @@ fn a_line_is_sampled_at_the_middles_of_its_steps() {
 }
 
 #[test]
-fn one_sample_stands_in_the_middle() {
+fn one_sample_is_in_the_middle() {
     let spline = BSpline::open_uniform(Degree::Quadratic, 3).unwrap();
     let arch = [(0.0, 0.0), (1.0, 4.0), (2.0, 0.0)].map(|(u, v)| Point2::new(u, v));
     let samples = sample(&spline, &arch, 1, HandSide::Right).unwrap();
@@ -99,7 +99,7 @@ fn the_hand_is_to_the_right_when_travelling_towards_plus_u_with_it_below() {
     let towards_u = Vector2::x();
     assert_eq!(HandSide::Right.outward(&towards_u), -Vector2::y());
     assert_eq!(HandSide::Left.outward(&towards_u), Vector2::y());
-    // The sign is that of a rotation from the direction of travel to the hand.
+    // The sign is that of the rotation from the direction of travel to the hand.
     for hand in [HandSide::Left, HandSide::Right] {
         assert_eq!(towards_u.perp(&-hand.outward(&towards_u)).signum(), hand.sign());
     }
@@ -125,14 +125,14 @@ proptest! {
             prop_assert!((normal.norm() - 1.0).abs() < ROUNDING);
             prop_assert!(tangent.dot(&point.first_derivative) > 0.0);
             prop_assert!(tangent.perp(&point.first_derivative).abs() <= ROUNDING * point.first_derivative.norm());
-            // A right turn from the direction of travel leads to a hand on the right: out is left.
+            // With the hand on the right of the direction of travel, outward is left.
             prop_assert!((tangent.perp(&normal) + hand.sign()).abs() < ROUNDING);
         }
         prop_assert!(end < spline.domain().1, "none on the end");
     }
 
     #[test]
-    fn the_other_side_only_turns_the_normals_round((spline, control_points) in curves(), count in 1..20_usize) {
+    fn the_other_side_only_reverses_the_normals((spline, control_points) in curves(), count in 1..20_usize) {
         let left = sample(&spline, &control_points, count, HandSide::Left).unwrap();
         let right = sample(&spline, &control_points, count, HandSide::Right).unwrap();
         for (l, r) in left.iter().zip(&right) {
@@ -142,7 +142,7 @@ proptest! {
 }
 
 #[test]
-fn what_cannot_be_sampled_is_refused() {
+fn invalid_arguments_are_refused() {
     let spline = BSpline::open_uniform(Degree::Quadratic, 3).unwrap();
     let line = [0.0, 1.0, 2.0].map(|u| Point2::new(u, 0.0));
     assert_eq!(
@@ -165,8 +165,8 @@ fn what_cannot_be_sampled_is_refused() {
 }
 
 #[test]
-fn where_the_curve_halts_there_is_no_tangent() {
-    // It runs to u = 1 and back: in the middle of its way its speed is zero.
+fn a_stopping_curve_has_no_tangent() {
+    // The curve runs to u = 1 and back; in the middle its speed is zero.
     let spline = BSpline::open_uniform(Degree::Quadratic, 3).unwrap();
     let there_and_back = [0.0, 2.0, 0.0].map(|u| Point2::new(u, 0.0));
     assert!(matches!(

@@ -1,4 +1,4 @@
-//! The mixture of colours that shows a hand best, and what a tracker gains by it.
+//! Fisher's mixture of colour channels, and tracking in its image.
 
 use crate::common::{Canvas, HalfPlane, Hand, Noise, Picture, Shape};
 use fingerpost_core::appearance::discriminant::{Discriminant, DiscriminantImage, Mixture};
@@ -10,13 +10,13 @@ use fingerpost_core::track::{ContourTracker, Model, StartPose, Status, TrackerOp
 
 type Colour = [u8; 3];
 
-/// What a camera makes of a colour's grey level.
+/// Grey level of a colour.
 fn grey(colour: Colour) -> u8 {
     let [b, g, r] = colour.map(f64::from);
     (0.114 * b + 0.587 * g + 0.299 * r).round() as u8
 }
 
-/// A frame of `width` pixels a row.
+/// A frame with rows of `width` pixels.
 fn with_frame<T>(colours: &[Colour], width: usize, then: impl FnOnce(&Frame<'_>) -> T) -> T {
     let greys: Vec<u8> = colours.iter().map(|&c| grey(c)).collect();
     let bytes = colours.as_flattened();
@@ -26,7 +26,7 @@ fn with_frame<T>(colours: &[Colour], width: usize, then: impl FnOnce(&Frame<'_>)
     then(&Frame::coloured(gray, colour).unwrap())
 }
 
-/// Eight colours about a mean whose covariance is that of the offsets' columns.
+/// Eight colours with a given mean, whose covariance is the sum of the offsets' outer products.
 fn class(mean: [i32; 3], offsets: [[i32; 3]; 3]) -> Vec<Colour> {
     (0..8)
         .map(|corner| {
@@ -69,25 +69,25 @@ fn mean(values: &[f64]) -> f64 {
 const SKIN: [i32; 3] = [90, 110, 160];
 const WOOD: [i32; 3] = [96, 128, 125];
 
-/// Pixels of one level, a part of them one level up in one channel.
+/// Pixels of one level, a fraction of them one level higher in one channel.
 fn a_part_brighter(part: f64) -> Vec<Colour> {
     let brighter = |x: u32| f64::from(x) < 1000.0 * part;
     (0..1000).map(|x| [100, 100, if brighter(x) { 101 } else { 100 }]).collect()
 }
 
 #[test]
-fn means_that_are_all_but_equal_tell_nothing() {
+fn nearly_equal_means_give_no_mixture() {
     let background = a_part_brighter(0.0);
     for part in [0.01, 0.003] {
         assert!(learned(&a_part_brighter(part), &background).mixture().is_none(), "{part}");
     }
-    // What is still told is shown without leaving the range of its integers.
+    // A difference that is still significant does not exceed the range of the integers.
     let hand = a_part_brighter(0.1);
-    let told = learned(&hand, &background);
-    let mixture = told.mixture().unwrap();
+    let discriminant = learned(&hand, &background);
+    let mixture = discriminant.mixture().unwrap();
     let [bright, dark] = [&hand, &background].map(|colours| mean(&shown(mixture, colours)));
     assert!(bright > dark + 10.0, "{bright}, {dark}");
-    // Neither is what other light has made of means beyond all bytes.
+    // Nor is there a mixture after relighting to means beyond the range of bytes.
     let mut relit = learned(&a_part_brighter(0.003), &background);
     relit.relight(30.0);
     assert!(relit.mixture().is_none());
@@ -101,14 +101,14 @@ fn it_is_the_mixture_of_fisher() {
     let mixture = discriminant.mixture().unwrap();
 
     let columns = spread.map(|s| Vector3::from(s.map(f64::from)));
-    // The documented variance of noise and rounding is part of it.
+    // This includes the documented variance of noise and rounding.
     let scatter: Matrix3<f64> =
         columns.iter().map(|c| c * c.transpose()).sum::<Matrix3<f64>>() + Matrix3::identity();
     let [skin, wood] = [SKIN, WOOD].map(|c| Vector3::from(c.map(f64::from)));
     let w = scatter.try_inverse().unwrap() * (skin - wood);
     let separation = (skin - wood).dot(&w).sqrt();
 
-    // Three standard deviations of noise and class together are three grey levels.
+    // One standard deviation of noise and class together is three grey levels.
     let (h, b) = (shown(mixture, &hand), shown(mixture, &background));
     assert!((mean(&h) - mean(&b) - 3.0 * separation).abs() < 0.5, "{h:?} {b:?}");
     assert!((0.5 * (mean(&h) + mean(&b)) - 128.0).abs() < 0.5);
@@ -120,8 +120,8 @@ fn it_is_the_mixture_of_fisher() {
 }
 
 #[test]
-fn classes_that_are_hard_to_tell_apart_are_shown_with_contrast_enough_for_an_edge() {
-    // 3.5 standard deviations apart: at three grey levels each, 10 grey levels would be left.
+fn classes_with_little_separation_have_enough_contrast_for_an_edge() {
+    // The classes are 3.5 standard deviations apart, or 10 grey levels at three levels each.
     let spread = [[9, 12, 11], [6, 0, -6], [0, 8, -8]];
     let (hand, background) = (class(SKIN, spread), class(WOOD, spread));
     let discriminant = learned(&hand, &background);
@@ -131,7 +131,7 @@ fn classes_that_are_hard_to_tell_apart_are_shown_with_contrast_enough_for_an_edg
 }
 
 #[test]
-fn in_other_light_it_is_the_mixture_that_would_be_learned_there() {
+fn relighting_gives_the_mixture_learned_in_that_light() {
     let spread = [[9, 12, 11], [3, 0, -3], [0, 2, -2]];
     let (hand, background) = (class(SKIN, spread), class(WOOD, spread));
     let light = 0.5;
@@ -142,21 +142,21 @@ fn in_other_light_it_is_the_mixture_that_would_be_learned_there() {
     relit.relight(light);
     let there = learned(&lit(&hand), &lit(&background));
     let all: Vec<Colour> = [lit(&hand), lit(&background)].concat();
-    let (told, expected) =
+    let (levels, expected) =
         (shown(relit.mixture().unwrap(), &all), shown(there.mixture().unwrap(), &all));
-    for (told, expected) in told.iter().zip(&expected) {
-        assert!((told - expected).abs() < 3.0, "{told} {expected}");
+    for (level, expected) in levels.iter().zip(&expected) {
+        assert!((level - expected).abs() < 3.0, "{level} {expected}");
     }
 }
 
 #[test]
-fn a_hand_that_grey_shows_as_well_needs_none() {
+fn a_hand_with_contrast_in_grey_needs_no_mixture() {
     let spread = [[5, 5, 5], [2, 0, 0], [0, 0, 2]];
     assert_eq!(learned(&class([140; 3], spread), &class([60; 3], spread)).mixture(), None);
 }
 
 #[test]
-fn nothing_seen_is_nothing_known() {
+fn without_samples_there_is_no_mixture() {
     let spread = [[3, 0, 0], [0, 3, 0], [0, 0, 3]];
     let skin = class(SKIN, spread);
     assert_eq!(Discriminant::default().mixture(), None);
@@ -174,14 +174,14 @@ fn nothing_seen_is_nothing_known() {
 }
 
 #[test]
-fn an_anchored_hand_is_not_talked_away() {
+fn an_anchored_hand_is_not_forgotten() {
     let spread = [[3, 0, 0], [0, 3, 0], [0, 0, 3]];
     let mut discriminant = learned(&class(SKIN, spread), &class(WOOD, spread));
     let before = *discriminant.mixture().unwrap();
     discriminant.fade(1.0);
     discriminant.learn();
     assert_eq!(discriminant.mixture(), Some(&before));
-    // From now on the contour lies on the wood alone.
+    // From now on the contour encloses only wood.
     discriminant.anchor();
     let wood = class(WOOD, spread);
     for _ in 0..50 {
@@ -207,7 +207,7 @@ fn many(count: usize) -> Vec<Colour> {
 }
 
 #[test]
-fn an_image_is_made_where_it_is_looked_at_and_grows() {
+fn an_image_is_computed_on_demand_and_grows() {
     const WIDTH: usize = 24;
     const HEIGHT: usize = 17;
     let spread = [[3, 0, 0], [0, 3, 0], [0, 0, 3]];
@@ -218,7 +218,7 @@ fn an_image_is_made_where_it_is_looked_at_and_grows() {
     assert!(all.contains(&0.0) && all.contains(&255.0), "what is out of range saturates");
     with_frame(&colours, WIDTH, |frame| {
         let mut image = DiscriminantImage::default();
-        // The last regions hold what was made before, reach beyond the frame or are empty.
+        // The later regions overlap earlier ones, extend beyond the frame or are empty.
         let regions = [
             [3.2, 8.0, 2.0, 4.9],
             [10.0, 12.0, 9.5, 11.0],
@@ -239,7 +239,7 @@ fn an_image_is_made_where_it_is_looked_at_and_grows() {
             }
         }
     });
-    // A new frame shows nothing of the last one, and may be of another size.
+    // A new frame contains nothing of the last one and may have another size.
     let next: Vec<Colour> = colours.iter().rev().copied().collect();
     with_frame(&next, HEIGHT, |frame| {
         let mut image = DiscriminantImage::default();
@@ -254,7 +254,7 @@ fn an_image_is_made_where_it_is_looked_at_and_grows() {
 }
 
 #[test]
-fn a_frame_without_colours_is_shown_as_it_is() {
+fn a_frame_without_colours_is_passed_through() {
     let spread = [[3, 0, 0], [0, 3, 0], [0, 0, 3]];
     let discriminant = learned(&class(SKIN, spread), &class(WOOD, spread));
     let gray = [10, 20, 30, 40];
@@ -265,7 +265,7 @@ fn a_frame_without_colours_is_shown_as_it_is() {
     assert_eq!(shown.image(), &view);
 }
 
-/// A colour in so much light.
+/// A colour under a given light.
 fn lit(colour: [i32; 3], light: f64) -> [i32; 3] {
     colour.map(|channel| (light * f64::from(channel)).round() as i32)
 }
@@ -282,30 +282,34 @@ fn learned_by_chromaticity(hand: &[Colour], background: &[Colour]) -> Discrimina
 }
 
 #[test]
-fn by_chromaticity_a_hand_is_shown_alike_in_light_and_in_shade() {
+fn by_chromaticity_a_hand_has_one_level_in_light_and_shade() {
     let spread = [[2, 1, 0], [0, 2, 1], [1, 0, 2]];
     let [bright, dark] = [1.0, 0.5].map(|light| class(lit(SKIN, light), spread));
-    // As dark as the hand's shade.
+    // As dark as the shaded hand.
     let wood = class(lit(WOOD, 0.5), spread);
-    let told = learned_by_chromaticity(&[bright.clone(), dark.clone()].concat(), &wood);
-    let mixture = told.mixture().unwrap();
+    let by_chromaticity = learned_by_chromaticity(&[bright.clone(), dark.clone()].concat(), &wood);
+    let mixture = by_chromaticity.mixture().unwrap();
     let [bright, dark, wood] = [bright, dark, wood].map(|colours| mean(&shown(mixture, &colours)));
     assert!((bright - dark).abs() < 1.5, "{bright} {dark}");
-    assert!((bright - wood - 3.0 * told.separation()).abs() < 1.5, "{bright} {wood}");
-    // What is known holds in any light.
-    let mut relit = told.clone();
+    assert!((bright - wood - 3.0 * by_chromaticity.separation()).abs() < 1.5, "{bright} {wood}");
+    // The mixture is valid under any light.
+    let mut relit = by_chromaticity.clone();
     relit.relight(0.4);
-    assert_eq!(relit.mixture(), told.mixture());
+    assert_eq!(relit.mixture(), by_chromaticity.mixture());
 }
 
 #[test]
-fn by_chromaticity_brightness_alone_tells_nothing() {
+fn by_chromaticity_brightness_alone_gives_no_separation() {
     let spread = [[2, 1, 0], [0, 2, 1], [1, 0, 2]];
     let [bright, dark] = [1.0, 0.4].map(|light| class(lit(SKIN, light), spread));
     assert!(learned(&bright, &dark).separation() > 10.0);
-    let told = learned_by_chromaticity(&bright, &dark);
-    assert!(told.mixture().is_none() && told.separation() < 0.5, "{}", told.separation());
-    // Black has none at all.
+    let by_chromaticity = learned_by_chromaticity(&bright, &dark);
+    assert!(
+        by_chromaticity.mixture().is_none() && by_chromaticity.separation() < 0.5,
+        "{}",
+        by_chromaticity.separation()
+    );
+    // Black has no chromaticity.
     let black = vec![[0; 3]; 8];
     assert!(learned_by_chromaticity(&black, &black).mixture().is_none());
     assert_eq!(Discriminant::of_chromaticity().separation(), 0.0);
@@ -316,7 +320,7 @@ const HEIGHT: usize = 150;
 const DARK: Colour = [60, 60, 60];
 const HAND: Colour = [90, 110, 160];
 
-/// A hand over a dark table, whose right-hand part is of one grey with the hand.
+/// A hand over a dark table, whose right part has the same grey level as the hand.
 fn scene(hand: &Hand, equal: Colour, noise: &mut Noise) -> (Picture, Vec<u8>) {
     let edge = HalfPlane::beyond(Point2::new(130.0, 0.0), std::f64::consts::PI, 0.0);
     photographed(noise, 2.0, |c| {
@@ -325,7 +329,7 @@ fn scene(hand: &Hand, equal: Colour, noise: &mut Noise) -> (Picture, Vec<u8>) {
     })
 }
 
-/// What a camera makes of three channels, with this noise \[grey levels\]: grey levels and colours.
+/// Grey levels and colours of a picture of three channels, with noise \[grey levels\].
 fn photographed(
     noise: &mut Noise,
     sigma_grey: f64,
@@ -340,7 +344,7 @@ fn photographed(
 }
 
 #[test]
-fn a_hand_of_one_grey_with_its_background_is_followed_by_its_colour() {
+fn a_hand_as_grey_as_its_background_is_followed_by_its_colour() {
     let equal = [grey(HAND); 3];
     assert_eq!(grey(equal), grey(HAND));
     let mut noise = Noise::new(0x636f_6c6f);
@@ -368,13 +372,13 @@ fn a_hand_of_one_grey_with_its_background_is_followed_by_its_colour() {
     }
 }
 
-/// Halfway between paper and wood in every channel, so that no mixture shows a hand of this colour as
-/// the brighter side before both.
+/// Halfway between paper and wood in every channel: in no mixture is a hand of this colour brighter
+/// than both.
 const HALFWAY: Colour = [148, 157, 165];
 const PAPER: Colour = [225, 226, 224];
 const BROWN: Colour = [72, 88, 106];
 
-/// A hand over wood, on which a sheet of paper lies whose edge the finger is about parallel to.
+/// A hand over wood and a sheet of paper, whose edge is about parallel to the finger.
 fn by_paper(hand: &Hand, skin: Colour, noise: &mut Noise) -> (Picture, Vec<u8>) {
     let edge = HalfPlane::beyond(Point2::new(120.0, 60.0), 1.3, 0.0);
     photographed(noise, 4.0, |c| {
@@ -391,7 +395,7 @@ fn a_hand_between_the_colours_of_wood_and_paper_is_followed_by_its_grey() {
         let options = TrackerOptions { model, ..TrackerOptions::default() };
         let template = Template::pistol(Thumb::None).unwrap();
         let mut tracker = ContourTracker::new(template, &start, options).unwrap();
-        let mut untold = 0;
+        let mut missing = 0;
         for k in 0..50 {
             let gone = f64::from((k - 8).max(0)) * 1.5;
             let tip = start.tip_px + Vector2::new(-2.0, 1.0 - gone);
@@ -403,7 +407,7 @@ fn a_hand_between_the_colours_of_wood_and_paper_is_followed_by_its_grey() {
             if k >= 7 {
                 assert_eq!(track.status, Status::Tracking, "{model:?} {k}");
                 let Some(line) = track.finger_line else {
-                    untold += 1;
+                    missing += 1;
                     continue;
                 };
                 let angle = (line.axis.angle_rad - hand.angle_rad).abs();
@@ -411,16 +415,16 @@ fn a_hand_between_the_colours_of_wood_and_paper_is_followed_by_its_grey() {
                 assert!(angle < 0.03 && offset < 1.0, "{model:?} {k}: {angle} {offset}");
             }
         }
-        assert!(untold <= 2, "{model:?}: {untold}");
+        assert!(missing <= 2, "{model:?}: {missing}");
     }
 }
 
-/// About as bright as halfway between paper and wood, and redder, so that a mixture is learned which
-/// hardly shows the edge of a hand before the paper.
+/// About as bright as [`HALFWAY`] and redder: in the learned mixture, a hand has little contrast
+/// before the paper.
 const FLUSHED: Colour = [141, 155, 173];
 
 #[test]
-fn an_edge_that_is_plain_in_grey_is_not_left_to_a_mixture_that_hardly_shows_it() {
+fn an_edge_with_contrast_in_grey_is_measured_in_grey() {
     let mut errors = Vec::new();
     for seed in 0..4 {
         let mut noise = Noise::new(0x726f_7379 + seed);
@@ -441,12 +445,12 @@ fn an_edge_that_is_plain_in_grey_is_not_left_to_a_mixture_that_hardly_shows_it()
             }
         }
     }
-    // By the mixture alone it is 1.15 mrad.
+    // With the mixture alone it is 1.15 mrad.
     let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
     assert!(rms < 1e-3, "{rms}");
 }
 
-/// What of one shape lies in another.
+/// The intersection of two shapes.
 struct Part<'a>(&'a Hand, HalfPlane);
 
 impl Shape for Part<'_> {
@@ -456,21 +460,21 @@ impl Shape for Part<'_> {
     }
 }
 
-/// Skin in full light, and a table that is as dark as skin in this part of it.
+/// Fraction of the light on the shaded flank; the table is as dark as skin there.
 const SHADED: f64 = 0.4;
 const TABLE: Colour = [47, 51, 54];
 
-/// A finger that a lamp lights from one side, over a table as dark as its other half. It turns from the
-/// light over a third of its width.
+/// A finger lit from one side, over a table as dark as its other half. The transition takes a third
+/// of its width.
 fn half_lit(hand: &Hand, side: f64, noise: &mut Noise) -> (Picture, Vec<u8>) {
-    let aside = Vector2::new(-hand.angle_rad.sin(), hand.angle_rad.cos()) * side;
-    let away_rad = aside.y.atan2(aside.x);
+    let lateral = Vector2::new(-hand.angle_rad.sin(), hand.angle_rad.cos()) * side;
+    let away_rad = lateral.y.atan2(lateral.x);
     photographed(noise, 2.0, |c| {
         let skin = |light: f64| light * f64::from(HAND[c]);
         let canvas = Canvas::new(WIDTH, HEIGHT, f64::from(TABLE[c])).paint(hand, skin(SHADED));
         (0..6).fold(canvas, |canvas, step| {
             let part = f64::from(step) / 5.0;
-            let at = hand.tip_px + aside * ((0.67 * part - 0.33) * hand.half_width_px);
+            let at = hand.tip_px + lateral * ((0.67 * part - 0.33) * hand.half_width_px);
             let light = HalfPlane::beyond(at, away_rad, 0.0);
             canvas.paint(&Part(hand, light), skin(SHADED + (1.0 - SHADED) * part))
         })
@@ -478,7 +482,7 @@ fn half_lit(hand: &Hand, side: f64, noise: &mut Noise) -> (Picture, Vec<u8>) {
 }
 
 #[test]
-fn a_finger_lit_from_one_side_is_followed_as_wide_as_it_is() {
+fn a_finger_lit_from_one_side_is_followed_at_its_true_width() {
     assert!(grey(HAND.map(|c| (SHADED * f64::from(c)).round() as u8)).abs_diff(grey(TABLE)) <= 6);
     let mut noise = Noise::new(0x7368_6164);
     for side in [1.0, -1.0] {
@@ -498,7 +502,7 @@ fn a_finger_lit_from_one_side_is_followed_as_wide_as_it_is() {
                 let angle = (line.axis.angle_rad - hand.angle_rad).abs();
                 let offset = hand.offset_px(&line.axis.anchor).abs();
                 assert!(angle < 0.03 && offset < 0.6, "{side} {k}: {angle} {offset}");
-                // It tells that it is not as sure as a finger that grey levels show.
+                // Its reported covariance is larger than that of a finger with contrast in grey.
                 assert!(line.covariance[(0, 0)].sqrt() > 0.5, "{side} {k}");
                 let width = track.shape.unwrap().vector[3] / hand.half_width_px;
                 assert!((0.9..1.1).contains(&width), "{side} {k}: {width}");

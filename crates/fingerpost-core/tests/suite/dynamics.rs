@@ -1,4 +1,4 @@
-//! The filter against a dense one, random walks that were really walked, and tables.
+//! The filter compared with a dense implementation, simulated random walks, and tables.
 
 use crate::common::Noise;
 use fingerpost_core::Error;
@@ -19,7 +19,7 @@ type P = SMatrix<f64, D, D>;
 
 const LONGEST_GAP_S: f64 = 0.5;
 
-/// Products and one inverse of 8 × 8 matrices whose entries span eight decades.
+/// Rounding of products and one inverse of 8 × 8 matrices with entries over eight decades.
 const TOLERANCE: f64 = 1e-9;
 
 fn config(cases: u32) -> Config {
@@ -35,14 +35,14 @@ fn velocity(density: f64, first_sigma: f64, domain: Domain) -> Component {
     Component { course: Course::Velocity { density, first_sigma }, domain }
 }
 
-/// Centre, angle and a width that drifts: px, px, rad, px.
+/// Centre, angle and a drifting width: px, px, rad, px.
 fn hand() -> [Component; D] {
     let centre = velocity(2e5, 400.0, Domain::Line);
     let walk = Component { course: Course::Walk { density: 3.0 }, domain: Domain::Line };
     [centre, centre, velocity(40.0, 3.0, Domain::Circle), walk]
 }
 
-/// A well-conditioned covariance of about the given standard deviations.
+/// A well-conditioned covariance with approximately the given standard deviations.
 fn covariance(sigmas: &X, noise: &mut Noise) -> P {
     let mixed = P::identity() + P::from_fn(|_, _| 0.3 * noise.normal());
     let scaled = P::from_diagonal(sigmas) * mixed;
@@ -51,8 +51,8 @@ fn covariance(sigmas: &X, noise: &mut Noise) -> P {
 
 const SEEN: X = X::new(0.3, 0.5, 0.01, 0.2);
 
-/// The same filter, written down as the textbook has it: one state of twice the size, the noise
-/// integrated numerically, gain and update with full inverses.
+/// The same filter in textbook form: one state of twice the size, process noise integrated
+/// numerically, gain and update with full inverses.
 struct Dense {
     components: [Component; D],
     time_s: f64,
@@ -82,8 +82,8 @@ impl Dense {
         f
     }
 
-    /// ∫ F(s) L Lᵀ F(s)ᵀ ds over the interval: a polynomial of degree two, for which Simpson's rule
-    /// is exact.
+    /// ∫ F(s) L Lᵀ F(s)ᵀ ds over the interval; the integrand is quadratic, so Simpson's rule is
+    /// exact.
     fn noise(&self, t: f64) -> DMatrix<f64> {
         let mut density = DMatrix::zeros(2 * D, 2 * D);
         for (i, c) in self.components.iter().enumerate() {
@@ -169,7 +169,7 @@ fn it_agrees_with_a_dense_filter() {
 
 #[test]
 fn an_interval_is_the_sum_of_its_parts() {
-    // What one step of the filter says, many small steps of the dense one say too.
+    // One step of the filter equals many small steps of the dense one.
     let mut noise = Noise::new(0x7061_7274);
     for parts in [1, 2, 3, 10, 37] {
         let (start, r) = (X::new(10.0, 20.0, -1.0, 5.0), covariance(&SEEN, &mut noise));
@@ -188,7 +188,7 @@ fn an_interval_is_the_sum_of_its_parts() {
     }
 }
 
-/// A hand that really moves as the model says: white acceleration in small steps.
+/// A simulated hand that obeys the model: white acceleration in small steps.
 struct Walker {
     x: X,
     v: X,
@@ -228,10 +228,10 @@ impl Walker {
 }
 
 #[test]
-fn it_is_as_sure_as_it_may_be() {
-    // Normalised squares of innovations and of errors are D on average, in runs whose frames come
-    // at irregular times, some of them fused at one time. The innovations of one run are
-    // independent; of its errors, the last counts.
+fn the_covariances_are_consistent() {
+    // The normalised squares of innovations and errors are D on average, in runs with irregular
+    // frame times, some of them equal. The innovations of a run are independent; of its errors,
+    // only the last is used.
     const RUNS: usize = 1500;
     const FRAMES: usize = 8;
     let mut noise = Noise::new(0x6e65_6573);
@@ -274,7 +274,7 @@ fn it_is_as_sure_as_it_may_be() {
 }
 
 #[test]
-fn the_gate_keeps_as_many_edges_as_it_says() {
+fn the_gate_keeps_the_stated_fraction_of_edges() {
     const EDGES: usize = 40_000;
     let mut noise = Noise::new(0x6761_7465);
     for confidence in [0.5, 0.9, 0.99, 0.999] {
@@ -328,9 +328,8 @@ fn search_lines_stay_within_their_limits() {
 }
 
 #[test]
-fn a_steady_motion_is_recovered() {
-    // Without noise the velocity is found whatever the frames' times, and the prediction meets the
-    // hand.
+fn a_uniform_motion_is_recovered() {
+    // Without noise, the velocity and the prediction are exact at any frame times.
     let (centre, turn) = (Vector2::new(350.0, -210.0), 4.0);
     let at = |t: f64| X::new(100.0 + centre.x * t, 300.0 + centre.y * t, 0.3 + turn * t, 14.0);
     let r = P::identity() * 1e-6;
@@ -362,13 +361,13 @@ fn a_doubted_velocity_is_the_old_one_or_the_new_one() {
     let half = 0.5 * (jumped.velocity() - before);
     let [sure, unsure] = [jumped, doubting].map(|d| expected(&d, 0.08 + after_s));
     assert!((sure.vector - unsure.vector - half * after_s).amax() < TOLERANCE);
-    // Of two equally likely velocities: half their difference, to either side.
+    // The spread of two equally likely velocities is half their difference.
     let spread = half * half.transpose() * after_s.powi(2);
     assert!((unsure.covariance - sure.covariance - spread).amax() < 1e-6);
 }
 
 #[test]
-fn what_may_be_off_is_as_much_less_sure() {
+fn an_additional_uncertainty_increases_the_covariance() {
     let r = P::from_diagonal(&SEEN.component_mul(&SEEN));
     let dynamics = Dynamics::start(hand(), LONGEST_GAP_S, 0.0, &X::zeros(), &r).unwrap();
     let by = X::new(3.0, -4.0, 0.0, 0.0);
@@ -379,7 +378,7 @@ fn what_may_be_off_is_as_much_less_sure() {
 }
 
 #[test]
-fn an_angle_goes_round() {
+fn angles_wrap_around() {
     let components = [velocity(10.0, 5.0, Domain::Circle)];
     let r = Matrix1::new(1e-6);
     for turn in [4.0, -4.0] {
@@ -387,7 +386,7 @@ fn an_angle_goes_round() {
         let mut dynamics = Dynamics::start(components, 0.5, 0.0, &x(0), &r).unwrap();
         for k in 1..40 {
             let time_s = 0.1 * k as f64;
-            // Whole turns in the measurement are no motion.
+            // Full rotations in the measurement are no motion.
             let seen = x(k).add_scalar(2.0 * PI * (k % 3) as f64);
             let innovation = dynamics.update(time_s, &seen, &r).unwrap().unwrap();
             assert!(k < 4 || innovation.vector.amax() < 0.01, "{k}: {}", innovation.vector);
@@ -396,7 +395,7 @@ fn an_angle_goes_round() {
         }
         assert!((dynamics.velocity()[0] - turn).abs() < 0.01, "{}", dynamics.velocity());
     }
-    // Half a turn is positive, exactly.
+    // A half rotation is exactly +π.
     let half = Dynamics::start(components, 0.5, 0.0, &Vector1::new(-PI), &r).unwrap();
     assert_eq!(expected(&half, 0.0).vector[0], PI);
 }
@@ -409,24 +408,24 @@ fn a_long_gap_is_a_loss() {
     dynamics.update(10.1, &(start + X::new(30.0, 0.0, 0.0, 0.0)), &r).unwrap();
     assert!(matches!(dynamics.predict(10.6).unwrap(), Prediction::Expected(_)));
     for gap_s in [0.75, 1e3, 1e300] {
-        let Prediction::Lost { gap_s: told_s } = dynamics.predict(10.1 + gap_s).unwrap() else {
+        let Prediction::Lost { gap_s: reported_s } = dynamics.predict(10.1 + gap_s).unwrap() else {
             unreachable!("after {gap_s} s")
         };
-        assert!((told_s / gap_s - 1.0).abs() < 1e-12);
+        assert!((reported_s / gap_s - 1.0).abs() < 1e-12);
     }
-    // What is seen then is a new start: as sure as the fit, at rest, of unknown velocity.
+    // The next measurement is a new start, with its covariance, at rest with unknown velocity.
     let again = X::new(500.0, -20.0, 1.0, 4.0);
     assert_eq!(dynamics.update(20.0, &again, &r).unwrap(), None);
     assert_eq!(dynamics, Dynamics::start(hand(), LONGEST_GAP_S, 20.0, &again, &r).unwrap());
 }
 
 #[test]
-fn no_interval_is_no_motion() {
+fn two_measurements_at_one_time_are_averaged() {
     let r = P::identity();
     let start = X::new(1.0, 2.0, 0.5, 3.0);
     let mut dynamics = Dynamics::start(hand(), LONGEST_GAP_S, 1.0, &start, &r).unwrap();
     assert_eq!(expected(&dynamics, 1.0), Expectation { vector: start, covariance: r });
-    // Two looks at one time are worth twice as much as one.
+    // Two measurements at one time have twice the information of one.
     let innovation: Innovation<D> = dynamics.update(1.0, &(start * 2.0), &r).unwrap().unwrap();
     assert_eq!((innovation.vector, innovation.covariance), (start, r * 2.0));
     let Expectation { vector, covariance } = expected(&dynamics, 1.0);
@@ -434,7 +433,7 @@ fn no_interval_is_no_motion() {
 }
 
 #[test]
-fn what_cannot_be_used_is_refused_and_changes_nothing() {
+fn invalid_input_is_refused_without_effect() {
     let (r, x) = (P::identity(), X::new(1.0, 2.0, 0.5, 3.0));
     let mut dynamics = Dynamics::start(hand(), LONGEST_GAP_S, 1.0, &x, &r).unwrap();
     let before = dynamics;
@@ -471,9 +470,9 @@ fn what_cannot_be_used_is_refused_and_changes_nothing() {
 }
 
 #[test]
-fn a_density_stands_for_accelerations_that_last() {
-    // The variance of the velocity after a time much longer than τ: accelerations that keep their
-    // direction for exponentially distributed times of mean τ, simulated.
+fn a_density_matches_accelerations_of_finite_duration() {
+    // Variance of the velocity after a time much longer than τ, for simulated accelerations that
+    // keep their direction for exponentially distributed times of mean τ.
     let (a, lasts_s, interval_s) = (20.0, 0.05, 5.0);
     let mut noise = Noise::new(0x7369_6e67);
     let runs = 4000;
@@ -493,7 +492,7 @@ fn a_density_stands_for_accelerations_that_last() {
 }
 
 #[test]
-fn chi_square_quantiles_of_the_least_probabilities_are_found() {
+fn chi_square_quantiles_of_very_small_probabilities() {
     for probability in [1e-200, 1e-308, f64::MIN_POSITIVE, 5e-324] {
         for degrees in [1, 2, 3, 100] {
             let quantile = chi_square_quantile(probability, degrees).unwrap();
@@ -507,7 +506,7 @@ fn chi_square_quantiles_of_the_least_probabilities_are_found() {
 
 #[test]
 #[expect(clippy::unreadable_literal, reason = "the table's digits, as they were printed")]
-fn chi_square_quantiles_are_the_tables() {
+fn chi_square_quantiles_match_tables() {
     // SciPy 1.17, scipy.stats.chi2.ppf.
     for (probability, degrees, quantile) in [
         (0.95, 1, 3.841458820694124),
@@ -531,7 +530,7 @@ fn chi_square_quantiles_are_the_tables() {
     }
 }
 
-/// Frames at random times, sharply or vaguely seen, of hands from still to wild.
+/// Frames at random times with small or large covariances, of hands from still to fast.
 fn film() -> impl Strategy<Value = ([Component; D], Vec<(f64, f64, u64)>)> {
     let exponent = -6.0..11.0_f64;
     let frame = (prop_oneof![Just(0.0), 1e-9..1e-6, 1e-3..0.49_f64], -10.0..4.0_f64, any::<u64>());
@@ -553,7 +552,7 @@ proptest! {
     #![proptest_config(config(200))]
 
     #[test]
-    fn covariances_stay_covariances((components, frames) in film()) {
+    fn covariances_stay_positive_semidefinite((components, frames) in film()) {
         let r = |exponent: f64, noise: &mut Noise| {
             covariance(&X::repeat(10_f64.powf(0.5 * exponent)), noise)
         };
@@ -573,7 +572,7 @@ proptest! {
             for ahead_s in [0.0, 0.01, 0.99 * LONGEST_GAP_S] {
                 let Expectation { covariance: p, .. } = expected(&dynamics, time_s + ahead_s);
                 prop_assert_eq!(p, p.transpose());
-                // Correlations of a covariance: unit diagonal, no negative eigenvalue.
+                // Correlation matrix: unit diagonal, no negative eigenvalue.
                 let own = p.diagonal().map(|d| 1.0 / d.sqrt());
                 prop_assert!(own.iter().all(|s| s.is_finite()), "{}", p);
                 let least = p.component_mul(&(own * own.transpose())).symmetric_eigenvalues().min();

@@ -1,4 +1,4 @@
-//! The solver against singular values, hand-made normal equations and Monte Carlo.
+//! The solver compared with singular values, explicit normal equations and Monte Carlo.
 
 use crate::common::Noise;
 use fingerpost_core::Error;
@@ -13,19 +13,19 @@ use fingerpost_core::solve::fit::{
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
 
-/// Normal equations square the condition of well-scaled rows, a few tens at most.
+/// Normal equations square the condition number of well-scaled rows, a few tens at most.
 const TOLERANCE: f64 = 1e-9;
 
 fn config() -> Config {
     Config { rng_seed: RngSeed::Fixed(0x6669_7474), failure_persistence: None, ..Config::default() }
 }
 
-/// Nothing but the normal equations.
+/// The plain normal equations.
 const PLAIN: FitOptions =
     FitOptions { loss: Loss::None, solve: Solve::Joint, max_iterations: 10, min_scale_px: 0.0 };
 const TUKEY: Loss = Loss::Tukey { cutoff: 4.685 };
 
-/// Equations as numbers, for the solver and for the oracle alike.
+/// Equations as numbers, for both the solver and the oracle.
 #[derive(Debug, Clone)]
 struct System<const D: usize> {
     rows: Vec<SVector<f64, D>>,
@@ -67,7 +67,7 @@ impl<const D: usize> System<D> {
         self.solve(&mut Fitter::new(options).unwrap(), None)
     }
 
-    /// Weighted least squares by singular values, `unknowns` of the columns only.
+    /// Weighted least squares by singular values, for the columns `unknowns` only.
     fn oracle(&self, unknowns: std::ops::Range<usize>, offsets_px: &[f64]) -> DVector<f64> {
         let weight = |i: usize| self.variances_px2[i].sqrt().recip();
         let a = DMatrix::from_fn(self.rows.len(), unknowns.len(), |i, j| {
@@ -91,7 +91,7 @@ impl<const D: usize> System<D> {
     }
 }
 
-/// No step and no covariance.
+/// Zero step and covariance.
 fn is_silent<const D: usize>(report: &FitReport<D>) -> bool {
     report.step.amax() == 0.0 && report.covariance.amax() == 0.0
 }
@@ -155,7 +155,7 @@ proptest! {
     }
 
     #[test]
-    fn plain_least_squares_meets_singular_values(seed in any::<u64>(), n in 8..60_usize, noise in 0.0..20.0) {
+    fn plain_least_squares_matches_singular_values(seed in any::<u64>(), n in 8..60_usize, noise in 0.0..20.0) {
         let mut random = Noise::new(seed);
         let truth = SVector::<f64, 6>::from_fn(|_, _| random.between(-3.0, 3.0));
         let system = System::exact(n, &truth, &mut random).disturb(noise, &mut random);
@@ -163,12 +163,12 @@ proptest! {
         let report = system.solve(&mut fitter, None);
         let (expected, information) = (system.oracle(0..6, &system.offsets_px), system.information());
         let inverse = information.try_inverse().unwrap();
-        // A few rows more than unknowns may be badly conditioned.
+        // With only a few rows more than unknowns, the condition may be bad.
         let tolerance = 1e-12 * information.norm() * inverse.norm();
         prop_assert_eq!(report.outcome, Outcome::Determined);
         prop_assert!((report.step - SVector::<f64, 6>::from_column_slice(expected.as_slice())).norm() <= tolerance * (1.0 + expected.norm()));
         prop_assert!((report.information - information).norm() <= 1e-12 * information.norm());
-        // The variances are believed unless the residuals are larger.
+        // The variances are accepted unless the residuals are larger.
         let factor = (system.chi_squared(&report.step) / (n - 6) as f64).max(1.0);
         prop_assert!((report.covariance - inverse * factor).norm() <= tolerance * factor * inverse.norm());
         prop_assert_eq!(report.iterations, 1);
@@ -206,7 +206,7 @@ proptest! {
     }
 
     #[test]
-    fn two_stages_are_translation_and_then_the_rest(seed in any::<u64>(), n in 10..50_usize) {
+    fn two_stages_solve_translation_and_then_the_rest(seed in any::<u64>(), n in 10..50_usize) {
         let mut random = Noise::new(seed);
         let truth = SVector::<f64, 5>::from_fn(|_, _| random.between(-3.0, 3.0));
         let system = System::exact(n, &truth, &mut random).disturb(0.3, &mut random);
@@ -220,12 +220,12 @@ proptest! {
     }
 
     #[test]
-    fn any_equations_are_answered(
+    fn any_equations_have_a_report(
         seed in any::<u64>(),
         options in options(),
         n in 0..12_usize,
         scales in prop::array::uniform4(prop_oneof![Just(0.0), Just(1.0), 1e-6..1e6_f64]),
-        (repeats, believed) in (any::<bool>(), any::<bool>()),
+        (repeats, has_prior) in (any::<bool>(), any::<bool>()),
     ) {
         let mut random = Noise::new(seed);
         let mut system = System::<4>::exact(n, &SVector::zeros(), &mut random).disturb(30.0, &mut random);
@@ -238,7 +238,7 @@ proptest! {
         }
         let prior = Prior { mean: SVector::repeat(0.5), information: SMatrix::identity() };
         let mut fitter = Fitter::new(options).unwrap();
-        let report = system.solve(&mut fitter, believed.then_some(&prior));
+        let report = system.solve(&mut fitter, has_prior.then_some(&prior));
         prop_assert!(report.iterations <= options.max_iterations);
         prop_assert!(report.rank <= 4 && report.inliers <= n && report.equations == n);
         prop_assert!(fitter.weights().iter().all(|w| (0.0..=1.0).contains(w)));
@@ -251,7 +251,7 @@ proptest! {
             }
             outcome => {
                 prop_assert!(report.rank < 4 || outcome == Outcome::TooFewEquations);
-                prop_assert_eq!(outcome == Outcome::TooFewEquations, n < 4 && !believed);
+                prop_assert_eq!(outcome == Outcome::TooFewEquations, n < 4 && !has_prior);
                 prop_assert!(is_silent(&report));
                 prop_assert_eq!(report.iterations, 0);
             }
@@ -263,7 +263,7 @@ proptest! {
 fn two_stages_equal_the_joint_solve_only_without_correlation() {
     let truth = SVector::<f64, 3>::from([2.0, -1.0, 0.4]);
     let at_right_angles = |n: usize| {
-        // Normals all round a circle, and a third column that sums to nothing with either.
+        // Normals around a circle, and a third column that is orthogonal to both.
         let rows = (0..n).map(|i| {
             let angle = std::f64::consts::TAU * i as f64 / n as f64;
             SVector::from([angle.cos(), angle.sin(), (2.0 * angle).sin() * 10.0])
@@ -277,7 +277,7 @@ fn two_stages_equal_the_joint_solve_only_without_correlation() {
     let (joint, staged) = (system.solve_with(PLAIN), system.solve_with(two_stage));
     assert!((joint.step - staged.step).norm() < TOLERANCE);
 
-    // A turn about a point beside the contour looks like a translation.
+    // A rotation about a point beside the contour correlates with translation.
     for row in &mut system.rows {
         row[2] += 8.0 * row[0];
     }
@@ -315,7 +315,7 @@ fn tukey_ignores_gross_errors_and_plain_least_squares_does_not() {
     assert!(worst_plain > 1.0, "{worst_plain}");
 }
 
-/// Tukey's estimate as the fitter defines it, reweighted until nothing moves at all.
+/// Tukey's estimate as the fitter defines it, reweighted until convergence.
 fn reweighted<const D: usize>(system: &System<D>) -> (SVector<f64, D>, SMatrix<f64, D, D>) {
     let mean_variance = system.variances_px2.iter().sum::<f64>() / system.rows.len() as f64;
     let mut weights = vec![1.0; system.rows.len()];
@@ -344,7 +344,7 @@ fn reweighted<const D: usize>(system: &System<D>) -> (SVector<f64, D>, SMatrix<f
 }
 
 #[test]
-fn what_reweighting_leaves_undone_is_a_small_part_of_a_sigma() {
+fn reweighting_converges_to_a_small_part_of_a_sigma() {
     let mut random = Noise::new(0x7365_7474);
     let (mut sweeps, mut squares) = (0, 0.0);
     for k in 0..200 {
@@ -363,7 +363,7 @@ fn what_reweighting_leaves_undone_is_a_small_part_of_a_sigma() {
         squares += sigmas * sigmas;
         sweeps += report.iterations;
     }
-    // On average a thousandth of the variance, for few sweeps.
+    // On average a thousandth of the variance, after few sweeps.
     assert!(squares <= 200.0 * 0.001, "{squares}");
     assert!(sweeps <= 200 * 5, "{sweeps} sweeps for 200 fits");
 }
@@ -378,7 +378,7 @@ fn the_residual_scale_is_the_median_deviation() {
     for (k, offset) in system.offsets_px.iter_mut().enumerate() {
         *offset += if k % 20 == 0 { 1000.0 } else { 0.0 };
     }
-    // One gross error in twenty leaves the median where it is.
+    // One gross error in twenty hardly changes the median.
     let scale = system.solve_with(FitOptions { loss: TUKEY, ..PLAIN }).residual_scale_px;
     assert!((scale / 0.5 - 1.0).abs() < 0.1, "{scale}");
 }
@@ -399,8 +399,8 @@ fn the_least_scale_is_a_variance_that_all_equations_share() {
 }
 
 #[test]
-fn what_scatters_beyond_the_variances_counts_for_all_alike() {
-    // Measurements of very different quality of a hand that is not quite the template.
+fn excess_scatter_is_shared_by_all_equations() {
+    // Measurements of very different variance of a hand that differs from the template.
     const MISFIT_PX: f64 = 1.0;
     let mut random = Noise::new(0x6d69_7366);
     let mut system = System::exact(400, &SVector::<f64, 3>::repeat(1.0), &mut random);
@@ -415,18 +415,18 @@ fn what_scatters_beyond_the_variances_counts_for_all_alike() {
     let even = system.solve_with(FitOptions { loss: TUKEY, ..PLAIN });
     let sigma = even.covariance.diagonal().map(f64::sqrt);
     assert!((report.step - even.step).component_div(&sigma).amax() < 0.2);
-    assert!(misjudged(&even.covariance, &report.covariance) < 0.2);
+    assert!(relative_error(&even.covariance, &report.covariance) < 0.2);
 }
 
 #[test]
-fn a_perfect_fit_is_a_fit() {
-    // Every residual is exactly zero, and no least scale was asked for.
+fn a_fit_with_zero_residuals_is_valid() {
+    // Every residual is exactly zero, and the minimum scale is zero.
     for loss in [Loss::None, TUKEY] {
         let mut system = System::exact(20, &SVector::<f64, 3>::zeros(), &mut Noise::new(19));
         let report = system.solve_with(FitOptions { loss, ..PLAIN });
         assert_eq!((report.outcome, report.rank), (Outcome::Determined, 3), "{loss:?}");
         assert_eq!(report.step.amax(), 0.0);
-        // More than half of them zero: the others are gross errors.
+        // More than half of the residuals are zero; the others are gross errors.
         system.offsets_px[4] = 5.0;
         let report = system.solve_with(FitOptions { loss, ..PLAIN });
         assert_eq!((report.outcome, report.rank), (Outcome::Determined, 3), "{loss:?}");
@@ -450,7 +450,7 @@ fn scatter<const D: usize>(steps: &[SVector<f64, D>]) -> SMatrix<f64, D, D> {
 }
 
 /// The largest relative error of the variance in any direction.
-fn misjudged<const D: usize>(claimed: &SMatrix<f64, D, D>, seen: &SMatrix<f64, D, D>) -> f64 {
+fn relative_error<const D: usize>(claimed: &SMatrix<f64, D, D>, seen: &SMatrix<f64, D, D>) -> f64 {
     let whiten = claimed.cholesky().unwrap().l().try_inverse().unwrap();
     let whitened = whiten * seen * whiten.transpose();
     let whitened = DMatrix::from_column_slice(D, D, whitened.as_slice());
@@ -458,14 +458,14 @@ fn misjudged<const D: usize>(claimed: &SMatrix<f64, D, D>, seen: &SMatrix<f64, D
 }
 
 #[test]
-fn the_covariance_is_what_monte_carlo_sees() {
-    /// Of a variance by this many draws: 3 standard deviations are 4 %.
+fn the_covariance_matches_monte_carlo() {
+    /// Three standard deviations of a variance from this many samples are 4 %.
     const DRAWS: usize = 12_000;
     let mut random = Noise::new(0x636f_7661);
     let truth = SVector::<f64, 3>::from([1.0, -2.0, 0.3]);
     let exact = System::exact(30, &truth, &mut random);
     let mut fitter = Fitter::new(PLAIN).unwrap();
-    // Noise as the variances say it, and twice that: then the residuals have to tell.
+    // Noise of the stated variances, and twice that, to be detected from the residuals.
     for factor in [1.0, 2.0] {
         let mut claimed = SMatrix::<f64, 3, 3>::zeros();
         let steps: Vec<_> = (0..DRAWS)
@@ -478,11 +478,11 @@ fn the_covariance_is_what_monte_carlo_sees() {
         let seen = scatter(&steps);
         if factor == 1.0 {
             let from_information = exact.information().try_inverse().unwrap();
-            assert!(misjudged(&from_information, &seen) < 0.05);
-            // Residuals that happen to be large raise it, small ones do not lower it.
-            assert!(misjudged(&claimed, &seen) < 0.15);
+            assert!(relative_error(&from_information, &seen) < 0.05);
+            // Large residuals increase the covariance, small ones do not decrease it.
+            assert!(relative_error(&claimed, &seen) < 0.15);
         } else {
-            assert!(misjudged(&claimed, &seen) < 0.05, "{claimed} {seen}");
+            assert!(relative_error(&claimed, &seen) < 0.05, "{claimed} {seen}");
         }
         let mean = steps.iter().sum::<SVector<f64, 3>>() / DRAWS as f64;
         let bias = (mean - truth).dot(&(seen.try_inverse().unwrap() * (mean - truth)));
@@ -502,7 +502,7 @@ fn fewer_equations_than_unknowns_are_reported() {
     }
 }
 
-/// Straight flanks at q = ±0.1 and nothing else.
+/// Straight flanks at q = ±0.1 without a tip.
 fn flanks() -> Vec<TemplateSample> {
     let sample = |p: f64, side: f64| TemplateSample {
         position: Point2::new(p, 0.1 * side),
@@ -524,7 +524,7 @@ fn tip() -> TemplateSample {
     }
 }
 
-/// What the samples see when the contour has moved by `step`, in pixels' noise.
+/// Measurements of samples of a contour that has moved by `step`, with a variance of 0.01 px².
 fn seen<S: PlanarSpace<D>, const D: usize>(
     map: &AffineMap,
     samples: &[TemplateSample],
@@ -539,14 +539,14 @@ fn seen<S: PlanarSpace<D>, const D: usize>(
 }
 
 #[test]
-fn flanks_alone_leave_the_slide_along_the_finger_open() {
+fn flanks_alone_do_not_determine_the_slide_along_the_finger() {
     for angle_rad in [0.0, 0.3, -2.0] {
         let map = AffineMap::upright(Point2::new(200.0, 100.0), angle_rad, 100.0).unwrap();
         let step = SVector::<f64, 3>::from([1.0, 0.5, 0.02]);
         let report = seen::<Rigid, 3>(&map, &flanks(), &step).solve_with(FitOptions::default());
         assert_eq!((report.outcome, report.rank), (Outcome::Undetermined, 2), "{angle_rad}");
         assert!(is_silent(&report));
-        // The information says which direction it is.
+        // The information matrix shows the direction.
         let along = map.linear.column(0).normalize();
         let slide = SVector::<f64, 3>::from([along.x, along.y, 0.0]);
         assert!((report.information * slide).norm() < TOLERANCE * report.information.norm());
@@ -564,7 +564,7 @@ fn flanks_alone_leave_the_slide_along_the_finger_open() {
 }
 
 #[test]
-fn a_prior_decides_where_the_equations_do_not() {
+fn a_prior_determines_what_the_equations_do_not() {
     let map = AffineMap::upright(Point2::new(200.0, 100.0), 0.3, 100.0).unwrap();
     let axis = map.axis();
     let (along, across) = (axis.direction(), axis.normal());
@@ -578,19 +578,19 @@ fn a_prior_decides_where_the_equations_do_not() {
     };
     let report = system.solve(&mut Fitter::new(FitOptions::default()).unwrap(), Some(&prior));
     assert_eq!((report.outcome, report.rank), (Outcome::Determined, 3));
-    // Across the finger the edges say all, along it the prior.
+    // The edges determine the step across the finger, the prior the one along it.
     assert!((report.step - (truth + slide * slide_px)).norm() < 1e-7, "{}", report.step);
     let variance = slide.dot(&(report.covariance * slide));
     assert!((variance / (sigma_px * sigma_px) - 1.0).abs() < 1e-9, "{variance}");
 
-    // A prior that says nothing about the slide leaves it open.
+    // A prior without information on the slide leaves it undetermined.
     let idle = Prior { information: SMatrix::zeros(), ..prior };
     let report = system.solve(&mut Fitter::new(FitOptions::default()).unwrap(), Some(&idle));
     assert_eq!((report.outcome, report.rank), (Outcome::Undetermined, 2));
 }
 
 #[test]
-fn a_prior_alone_is_an_answer() {
+fn a_prior_alone_is_sufficient() {
     let mean = SVector::<f64, 2>::from([3.0, -4.0]);
     let prior = Prior { mean, information: Matrix2::new(2.0, 0.5, 0.5, 1.0) };
     let nothing = System { rows: vec![], offsets_px: vec![], variances_px2: vec![] };
@@ -615,7 +615,7 @@ fn the_rank_does_not_depend_on_units() {
     let step = report.step.component_mul(&units);
     assert!((step - truth).norm() < 1e-6, "{step}");
 
-    // Two components that only ever act together.
+    // Two linearly dependent components.
     for row in &mut system.rows {
         row[3] = row[2] * 1e-4;
     }
@@ -624,7 +624,7 @@ fn the_rank_does_not_depend_on_units() {
 }
 
 #[test]
-fn what_is_no_number_is_refused_and_not_added() {
+fn non_finite_equations_are_refused_and_not_added() {
     let mut buffer = EquationBuffer::with_capacity(4, 3);
     let mut equations = buffer.clear::<3>();
     let row = SVector::<f64, 3>::from([1.0, 2.0, 3.0]);
@@ -673,7 +673,7 @@ fn options_out_of_range_are_refused() {
 }
 
 #[test]
-fn a_solver_remembers_nothing() {
+fn a_solver_has_no_state_between_fits() {
     let mut random = Noise::new(17);
     let small = System::exact(9, &SVector::<f64, 2>::repeat(2.0), &mut random);
     let large = System::exact(90, &SVector::<f64, 6>::repeat(-1.0), &mut random);

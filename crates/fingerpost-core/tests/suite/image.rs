@@ -1,4 +1,4 @@
-//! The grey view against the definition of a strided image and of bilinear interpolation.
+//! Image views compared with the definitions of strided images and bilinear interpolation.
 
 use fingerpost_core::Error;
 use fingerpost_core::image::frame::ColourView;
@@ -28,7 +28,7 @@ impl Pixels {
         GrayView::new(&self.bytes, self.width, self.height, self.stride).unwrap()
     }
 
-    /// Bilinear interpolation written out as a sum of weights over all pixels: the definition.
+    /// Bilinear interpolation by its definition, a weighted sum over all pixels.
     fn tent_sum(&self, u: f64, v: f64) -> f64 {
         let tent = |d: f64| (1.0 - d.abs()).max(0.0);
         (0..self.height)
@@ -40,7 +40,7 @@ impl Pixels {
     }
 }
 
-/// Small images, one pixel wide or high as often as not, with padding and bytes left over.
+/// Small images with padding and trailing bytes, half of them one pixel wide or high.
 fn pixels() -> impl Strategy<Value = Pixels> {
     let side = || prop_oneof![Just(1_usize), 1..7_usize];
     (side(), side(), 0..4_usize, 0..3_usize)
@@ -52,7 +52,7 @@ fn pixels() -> impl Strategy<Value = Pixels> {
         .prop_map(|(bytes, (width, height, stride))| Pixels { bytes, width, height, stride })
 }
 
-/// A fraction of a side, its two ends as often as not.
+/// A fraction of a side, half of the time one of its two ends.
 fn fraction() -> impl Strategy<Value = f64> {
     prop_oneof![Just(0.0), Just(1.0), 0.0..=1.0]
 }
@@ -77,7 +77,7 @@ proptest! {
     }
 
     #[test]
-    fn samples_meet_the_definition(image in pixels(), s in fraction(), t in fraction()) {
+    fn samples_match_the_definition(image in pixels(), s in fraction(), t in fraction()) {
         let (u, v) = (s * (image.width - 1) as f64, t * (image.height - 1) as f64);
         let view = image.view();
         prop_assert!((view.sample_f64(u, v).unwrap() - image.tent_sum(u, v)).abs() < F64_TOLERANCE);
@@ -119,7 +119,7 @@ proptest! {
 }
 
 #[test]
-fn the_next_number_beyond_the_border_is_outside() {
+fn the_next_float_beyond_the_border_is_outside() {
     let bytes = [7; 12];
     let view = GrayView::new(&bytes, 4, 3, 4).unwrap();
     assert_eq!(view.sample_f64(3.0, 2.0), Some(7.0));
@@ -162,7 +162,7 @@ fn the_margin_shrinks_the_image_on_every_side() {
 }
 
 #[test]
-fn a_shape_that_the_bytes_do_not_fit_is_refused() {
+fn a_shape_that_does_not_fit_the_bytes_is_refused() {
     let bytes = [0; 11];
     assert_eq!(GrayView::new(&bytes, 0, 3, 4), Err(Error::EmptyImage { width: 0, height: 3 }));
     assert_eq!(GrayView::new(&[], 4, 0, 4), Err(Error::EmptyImage { width: 4, height: 0 }));
@@ -209,14 +209,14 @@ fn colours_are_refused_with_the_width_of_their_image() {
 }
 
 #[test]
-fn debug_shows_the_shape_and_not_the_pixels() {
+fn debug_output_has_the_shape_without_the_pixels() {
     let bytes = [173; 6];
     let shown = format!("{:?}", GrayView::new(&bytes, 2, 2, 4).unwrap());
     assert_eq!(shown, "GrayView { width: 2, height: 2, stride: 4, .. }");
 }
 
 #[test]
-fn colours_are_sampled_as_three_grey_images_are() {
+fn colours_are_sampled_like_three_grey_images() {
     let mut state = 7_u32;
     let mut random = || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -234,12 +234,12 @@ fn colours_are_sampled_as_three_grey_images_are() {
     for _ in 0..2000 {
         // Quarters of a pixel: on pixels, between them, on the border and beyond it.
         let [u, v] = [random() % 34, random() % 26].map(|k| f64::from(k) / 4.0 - 1.0);
-        let told = greys.map(|grey| grey.sample_f64(u, v));
+        let separate = greys.map(|grey| grey.sample_f64(u, v));
         match colour.sample_f64(u, v) {
-            None => assert_eq!(told, [None; 3], "{u}, {v}"),
+            None => assert_eq!(separate, [None; 3], "{u}, {v}"),
             Some(sampled) => {
                 inside += 1;
-                for (one, other) in sampled.iter().zip(told) {
+                for (one, other) in sampled.iter().zip(separate) {
                     assert!((one - other.unwrap()).abs() < 1e-9, "{u}, {v}");
                 }
             }

@@ -1,7 +1,7 @@
-//! The core from outside, a file for each of its modules.
+//! Integration tests of the core, one file per module.
 //!
-//! One program and not one for each file: the solvers of `nalgebra`, which every file's matrices
-//! need, are built once.
+//! They form one program, so that the solvers of `nalgebra`, which every file uses, are compiled
+//! once.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 #![allow(clippy::float_cmp, reason = "where a value is exact, it is compared as such")]
 

@@ -1,4 +1,4 @@
-//! Straight edges at every angle and place, lines that outliers do not pull, input that is none.
+//! Straight edges at all angles and places, lines with outliers, invalid input.
 
 use fingerpost_core::GrayView;
 use fingerpost_core::measure::outline::{EdgePolarity, edges_along, fit_line};
@@ -17,7 +17,7 @@ fn step_picture(side: usize, at: Point2<f64>, angle_rad: f64) -> Vec<u8> {
 }
 
 #[test]
-fn finds_a_line_at_every_angle_and_place() {
+fn a_line_is_found_at_any_angle_and_place() {
     let side = 160;
     for k in 0..24 {
         let angle = f64::from(k) * 0.2617 + 0.05;
@@ -42,7 +42,7 @@ fn finds_a_line_at_every_angle_and_place() {
 }
 
 #[test]
-fn outliers_do_not_pull_a_line() {
+fn outliers_do_not_bias_a_line() {
     let points: Vec<_> = (0..40)
         .map(|k| Point2::new(f64::from(k), if k % 5 < 2 { 3.0 } else { 0.01 * f64::from(k % 3) }))
         .collect();
@@ -52,7 +52,7 @@ fn outliers_do_not_pull_a_line() {
 }
 
 #[test]
-fn no_line_through_too_little() {
+fn too_few_points_give_no_line() {
     assert_eq!(fit_line(&[Point2::origin(); 4], &[1.0; 4]).unwrap(), None);
     assert_eq!(fit_line(&[Point2::origin(); 9], &[1.0; 9]).unwrap(), None);
     assert!(fit_line(&[Point2::origin(); 9], &[0.0; 9]).is_err());

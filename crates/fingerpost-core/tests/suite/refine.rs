@@ -1,5 +1,5 @@
-//! The refiner against fingers that are exact: spheres of falling size along a line in space, seen by
-//! a pinhole, whose axis projects to a line that is known to rounding.
+//! The refiner on exact fingers: spheres of decreasing size along a line in space, seen by a
+//! pinhole camera, whose axis projects to a line that is known up to rounding.
 
 use crate::common::{BentFinger, Canvas, Noise, Picture, Shape, covered_part};
 use fingerpost_core::appearance::histogram::HistogramModel;
@@ -26,11 +26,11 @@ struct Cone {
     radii: [f64; 2],
 }
 
-/// How it is lit.
+/// Illumination of a finger.
 #[derive(Debug, Clone, Copy)]
 struct Light {
     contrast: f64,
-    /// From the side, and towards the limb, in parts of the contrast.
+    /// Lateral shading and limb darkening, as fractions of the contrast.
     side: f64,
     limb: f64,
     blur_px: f64,
@@ -39,8 +39,8 @@ struct Light {
 const PLAIN: Light = Light { contrast: 80.0, side: 0.0, limb: 0.0, blur_px: 1.0 };
 
 impl Cone {
-    /// A rod of 16 mm and 70–90 mm, two metres away, some 12 px wide, in any direction that shows
-    /// its length; `scale` magnifies it.
+    /// A rod of 16 mm diameter and 70–90 mm length at a distance of two metres, about 12 px wide,
+    /// in any direction without strong foreshortening; `scale` magnifies it.
     fn random(noise: &mut Noise, taper: f64, scale: f64) -> Self {
         let focal_px = 1692.0 * scale;
         let z = noise.between(1850.0, 2050.0);
@@ -83,8 +83,8 @@ impl Cone {
         q0 + t * (q1 + t * q2)
     }
 
-    /// What a tracker would know: the truth but for `error` px and as many fiftieths of a radian.
-    fn believed(&self, noise: &mut Noise, error: f64) -> Finger {
+    /// A tracker's estimate: the truth with errors of `error` px and `error` / 50 rad.
+    fn estimated(&self, noise: &mut Noise, error: f64) -> Finger {
         let [p0, p1] = self.ends();
         let [w0, w1] = self.half_widths();
         let length = (p1 - p0).norm();
@@ -133,7 +133,7 @@ impl Cone {
         information.try_inverse().unwrap().fixed_view::<2, 2>(0, 0).into_owned()
     }
 
-    /// The part that the finger covers of a square about a point.
+    /// Fraction of a square about a point that the finger covers.
     fn cover(&self, at: Point2<f64>, side: f64) -> f64 {
         let d = 1e-3;
         let slope =
@@ -143,7 +143,7 @@ impl Cone {
         covered_part(-self.outside(at) / steep / side, &(normal / steep))
     }
 
-    /// The light that falls on each pixel: 4 × 4 samples, each by the part that the finger covers.
+    /// The image by 4 × 4 samples per pixel, each weighted by the fraction that the finger covers.
     fn render(&self, light: &Light, scale: usize, behind: &dyn Fn(f64, f64) -> f64) -> Canvas {
         const FINE: usize = 4;
         let size = SIZE * scale;
@@ -152,7 +152,7 @@ impl Cone {
         let (length, e) = ((p1 - p0).norm(), (p1 - p0).normalize());
         let step = 1.0 / FINE as f64;
         let place = |i: usize| (i as f64 + 0.5) * step - 0.5;
-        // With a margin of one all round: where all neighbours are on one side, so is the sample.
+        // With a margin of one sample: if all neighbours are on one side, so is the sample.
         let wide = size * FINE + 2;
         let on_finger: Vec<bool> = (0..wide * wide)
             .map(|i| Point2::new(place(i % wide) - step, place(i / wide) - step))
@@ -189,7 +189,7 @@ fn flat(_: f64, _: f64) -> f64 {
     TABLE
 }
 
-/// A table full of ellipses of up to ±`amplitude` grey levels.
+/// A table cluttered with ellipses of up to ±`amplitude` grey levels.
 fn clutter(noise: &mut Noise, amplitude: f64) -> impl Fn(f64, f64) -> f64 + use<> {
     let size = SIZE as f64;
     let shapes: Vec<_> = (0..30)
@@ -225,7 +225,7 @@ fn refine(refiner: &mut Refiner, picture: &Picture, finger: &Finger) -> Option<R
     refiner.refine(&Frame::gray(picture.view()), finger, Polarity::Unknown, None, None).unwrap()
 }
 
-/// Errors against what was claimed of them.
+/// Errors in relation to their reported covariances.
 #[derive(Debug, Default)]
 struct Score {
     count: f64,
@@ -256,7 +256,7 @@ impl Score {
     }
 }
 
-/// Refines `poses` × `trials` fingers and scores the lines that came from the pixels.
+/// Refines `poses` × `trials` fingers and scores the photometric lines.
 fn photometric(
     seed: u64,
     [poses, trials]: [usize; 2],
@@ -274,7 +274,7 @@ fn photometric(
         let empty = known.then(|| away.render(light, 1, &behind));
         for _ in 0..trials {
             let picture = canvas.take(sigma, &mut noise);
-            let finger = cone.believed(&mut noise, 0.3);
+            let finger = cone.estimated(&mut noise, 0.3);
             let spread = sigma / 30_f64.sqrt();
             let learned: Option<Vec<f32>> = empty
                 .as_ref()
@@ -297,22 +297,22 @@ fn photometric(
 }
 
 #[test]
-fn without_noise_hardly_an_error_is_left() {
+fn without_noise_the_error_is_small() {
     let (mut noise, mut refiner, mut score) = (Noise::new(1), refiner(), Score::default());
     for _ in 0..16 {
         let cone = Cone::random(&mut noise, 0.1, 1.0);
         let picture = cone.render(&PLAIN, 1, &flat).take(0.0, &mut noise);
-        let refined = refine(&mut refiner, &picture, &cone.believed(&mut noise, 0.3)).unwrap();
+        let refined = refine(&mut refiner, &picture, &cone.estimated(&mut noise, 0.3)).unwrap();
         assert_eq!(refined.source, Source::Photometric);
         score.add(cone.error(&refined.axis), &refined.covariance, &Matrix2::identity());
     }
-    // Rounding to whole grey levels is a noise of 0.29 of its own.
+    // Rounding to whole grey levels is noise of 0.29 grey levels.
     assert!(score.rms_px() < 0.004, "{} px", score.rms_px());
     assert!(score.rms_deg() < 0.005, "{}°", score.rms_deg());
 }
 
 #[test]
-fn the_covariance_is_that_of_the_errors_and_near_the_bound() {
+fn the_covariance_is_consistent_and_near_the_bound() {
     let score = photometric(2, [40, 8], &PLAIN, 0.0, false);
     let n = score.count;
     assert!(n > 316.0, "{n} of 320");
@@ -320,19 +320,20 @@ fn the_covariance_is_that_of_the_errors_and_near_the_bound() {
     for nees in (score.nees / n).iter() {
         assert!((0.84..1.2).contains(nees), "NEES {}", score.nees / n);
     }
-    // 95 % but for three standard errors, of 1.2 % each.
+    // 95 % within three standard errors of 1.2 %.
     assert!((0.913..0.987).contains(&(score.covered / n)), "covered {}", score.covered / n);
-    // Mean errors, in units of their own standard error.
+    // Mean errors in units of their standard error.
     for bias in score.sum.component_div(&score.squares.map(f64::sqrt)).iter() {
         assert!(bias.abs() < 3.0, "bias {bias}");
     }
-    // The round end adds what its shading costs: the angle is as sure as two free flanks make it.
+    // The information of the round end balances the loss by shading, so the bound is that of two
+    // free flanks.
     let efficiency = n / score.bound.y;
     assert!((0.85..1.3).contains(&efficiency), "efficiency {efficiency}");
 }
 
 #[test]
-fn the_bend_of_a_cylinder_is_noise_as_large_as_it_is_told_to_be() {
+fn the_bend_of_a_cylinder_is_consistent_with_its_standard_deviation() {
     let (mut noise, mut refiner) = (Noise::new(31), refiner());
     let (mut chi_squared, mut count) = (0.0, 0.0);
     for _ in 0..30 {
@@ -340,7 +341,7 @@ fn the_bend_of_a_cylinder_is_noise_as_large_as_it_is_told_to_be() {
         let canvas = cone.render(&PLAIN, 1, &flat);
         for _ in 0..8 {
             let picture = canvas.take(2.0, &mut noise);
-            let refined = refine(&mut refiner, &picture, &cone.believed(&mut noise, 0.3)).unwrap();
+            let refined = refine(&mut refiner, &picture, &cone.estimated(&mut noise, 0.3)).unwrap();
             let report = refined.photometric.unwrap();
             chi_squared += (report.bend_px / report.bend_sigma_px).powi(2);
             count += 1.0;
@@ -352,19 +353,19 @@ fn the_bend_of_a_cylinder_is_noise_as_large_as_it_is_told_to_be() {
 }
 
 #[test]
-fn sharp_and_soft_pictures_settle_in_a_few_iterations() {
+fn sharp_and_soft_pictures_converge_in_a_few_iterations() {
     let (mut noise, mut refiner) = (Noise::new(12), refiner());
     let fingers = 8;
-    // How many they may take on average.
+    // Greatest mean number of iterations.
     for (blur_px, most) in [(0.4, 4), (0.6, 4), (1.0, 6), (1.5, 6), (1.9, 7)] {
         let mut iterations = 0;
         for _ in 0..fingers {
             let cone = Cone::random(&mut noise, 0.1, 1.0);
             let picture = cone.render(&Light { blur_px, ..PLAIN }, 1, &flat).take(2.0, &mut noise);
-            let refined = refine(&mut refiner, &picture, &cone.believed(&mut noise, 0.3)).unwrap();
+            let refined = refine(&mut refiner, &picture, &cone.estimated(&mut noise, 0.3)).unwrap();
             let report = refined.photometric.unwrap();
             assert_eq!(refined.source, Source::Photometric, "blur {blur_px}");
-            // Pixels are as wide as a blur of 1 / √12 px.
+            // A pixel's extent is equivalent to a blur of 1 / √12 px.
             let part = report.blur_px / blur_px.hypot(1.0 / 12_f64.sqrt());
             assert!((0.88..1.12).contains(&part), "{} px for {blur_px}", report.blur_px);
             iterations += report.iterations;
@@ -374,7 +375,7 @@ fn sharp_and_soft_pictures_settle_in_a_few_iterations() {
 }
 
 #[test]
-fn light_from_the_side_and_a_dark_limb_turn_nothing() {
+fn lateral_light_and_a_dark_limb_cause_no_rotation() {
     let light = Light { side: 0.3, limb: 0.3, ..PLAIN };
     let score = photometric(3, [40, 4], &light, 0.0, false);
     let n = score.count;
@@ -386,7 +387,7 @@ fn light_from_the_side_and_a_dark_limb_turn_nothing() {
 }
 
 #[test]
-fn an_unknown_cluttered_background_is_doubted_as_much_as_it_deserves() {
+fn the_covariance_is_consistent_before_unknown_clutter() {
     for (amplitude, least, most_deg) in [(25.0, 0.8, 0.07), (50.0, 0.7, 0.14)] {
         let score = photometric(4, [100, 1], &PLAIN, amplitude, false);
         let n = score.count;
@@ -398,7 +399,7 @@ fn an_unknown_cluttered_background_is_doubted_as_much_as_it_deserves() {
 }
 
 #[test]
-fn a_known_background_may_be_as_cluttered_as_it_likes() {
+fn a_known_cluttered_background_costs_little_accuracy() {
     let score = photometric(5, [80, 1], &PLAIN, 50.0, true);
     let n = score.count;
     assert!(n > 72.0, "{n} of 80");
@@ -407,25 +408,25 @@ fn a_known_background_may_be_as_cluttered_as_it_likes() {
     assert!(score.rms_deg() < 0.035, "{}°", score.rms_deg());
 }
 
-/// What lies on a finger, in its own frame: p in parts of its length from the base, q in half-widths.
+/// Objects on a finger, in its own frame: p as a fraction of its length from the base, q lateral.
 #[derive(Debug, Clone, Copy)]
 enum Cover {
     /// A thumb along the near part of one flank.
     Thumb,
     /// A ring, wider than the finger.
     Ring,
-    /// A nail that reaches over one flank's inside.
+    /// A nail on the inside of one flank.
     Nail,
     /// Dark creases across the finger.
     Creases,
     /// The edge of a sleeve, wider than the finger, at an angle.
     Sleeve,
-    /// A joint that stands out to one side.
+    /// A joint that protrudes to one side.
     Joint,
 }
 
 impl Cover {
-    /// Lays one over a picture that has been blurred already.
+    /// Blends the object into a picture that is already blurred.
     fn lay(self, canvas: &mut Canvas, cone: &Cone, light: &Light, noise: &mut Noise) {
         const FINE: usize = 3;
         let [p0, p1] = cone.ends();
@@ -476,7 +477,7 @@ impl Cover {
             parts.grey[y * size + x] += part / (FINE * FINE) as f64;
         }
         for (grey, part) in canvas.grey.iter_mut().zip(&parts.grey) {
-            // Where finger joins finger there is no edge.
+            // There is no edge between finger and thumb or joint.
             let joined = matches!(self, Self::Thumb | Self::Joint);
             let laid = *grey + part * (level - *grey);
             *grey = if joined { grey.max(TABLE + part * (level - TABLE)) } else { laid };
@@ -485,8 +486,8 @@ impl Cover {
 }
 
 #[test]
-fn what_lies_on_a_finger_is_left_out_or_counted() {
-    // Of how many fingers the pixels are to be believed: a joint may look like no finger.
+fn objects_on_a_finger_are_rejected_or_included_in_the_covariance() {
+    // Minimum number of accepted photometric lines; a joint may make the fit fail.
     for (kind, least) in [
         (Cover::Thumb, 8.0),
         (Cover::Ring, 11.0),
@@ -500,7 +501,7 @@ fn what_lies_on_a_finger_is_left_out_or_counted() {
             let cone = Cone::random(&mut noise, 0.1, 1.0);
             let mut canvas = cone.render(&PLAIN, 1, &flat);
             kind.lay(&mut canvas, &cone, &PLAIN, &mut noise);
-            let finger = cone.believed(&mut noise, 0.3);
+            let finger = cone.estimated(&mut noise, 0.3);
             let picture = canvas.take(2.0, &mut noise);
             let refined = refine(&mut refiner, &picture, &finger);
             let Some(refined) = refined.filter(|r| r.source == Source::Photometric) else {
@@ -516,16 +517,16 @@ fn what_lies_on_a_finger_is_left_out_or_counted() {
     }
 }
 
-/// A finger in the middle of the picture, at an angle, without noise in what is believed of it.
+/// An oblique finger in the middle of the picture, with an exact estimate.
 fn plain() -> (Cone, Finger, Noise) {
     let mut noise = Noise::new(6);
     let cone = Cone::random(&mut noise, 0.1, 1.0);
-    let finger = cone.believed(&mut noise, 0.0);
+    let finger = cone.estimated(&mut noise, 0.0);
     (cone, finger, noise)
 }
 
-/// Whatever is believed must be near the truth, by its own account.
-fn assert_honest(cone: &Cone, refined: Option<&Refined>, what: &str) {
+/// Asserts that a refined line is near the truth in terms of its covariance.
+fn assert_consistent(cone: &Cone, refined: Option<&Refined>, what: &str) {
     let Some(refined) = refined else { return };
     let error = cone.error(&refined.axis);
     let distance = error.dot(&(refined.covariance.try_inverse().unwrap() * error));
@@ -533,7 +534,7 @@ fn assert_honest(cone: &Cone, refined: Option<&Refined>, what: &str) {
 }
 
 #[test]
-fn the_anchor_is_only_where_the_line_is_told() {
+fn moving_the_anchor_does_not_change_the_line() {
     let (cone, finger, mut noise) = plain();
     let picture = cone.render(&PLAIN, 1, &flat).take(2.0, &mut noise);
     let here = refine(&mut refiner(), &picture, &finger).unwrap();
@@ -559,9 +560,9 @@ fn the_anchor_is_only_where_the_line_is_told() {
 }
 
 #[test]
-fn the_line_of_a_bent_finger_is_that_of_least_squares_through_its_stretch() {
+fn the_line_of_a_bent_finger_is_its_least_squares_line() {
     const FINE: usize = 4;
-    let (mut noise, sagitta) = (Noise::new(13), 3e-4);
+    let (mut noise, half_curvature) = (Noise::new(13), 3e-4);
     let (e, anchor) = (Vector2::new(0.8, 0.6), Point2::new(63.3, 64.2));
     let n = Vector2::new(-e.y, e.x);
     let mut fine = Canvas::new(SIZE * FINE, SIZE * FINE, TABLE);
@@ -569,7 +570,7 @@ fn the_line_of_a_bent_finger_is_that_of_least_squares_through_its_stretch() {
         let place = |i: usize| (i as f64 + 0.5) / FINE as f64 - 0.5;
         let d = Point2::new(place(i % (SIZE * FINE)), place(i / (SIZE * FINE))) - anchor;
         let (p, q) = (d.dot(&e), d.dot(&n));
-        if (q - sagitta * p * p).abs() < 7.0 {
+        if (q - half_curvature * p * p).abs() < 7.0 {
             *grey += 80.0;
         }
     }
@@ -584,7 +585,7 @@ fn the_line_of_a_bent_finger_is_that_of_least_squares_through_its_stretch() {
     for (flanks, middle_px, half_px) in [
         ([whole, whole], 0.0, 30.0),
         ([Stretch { from_px: 0.0, ..whole }; 2], 15.0, 15.0),
-        // Between those of either flank, whose middles are 0 and 10.
+        // Between the stretches of both flanks, whose middles are 0 and 10.
         ([whole, Stretch { from_px: -10.0, ..whole }], 5.0, 25.0),
     ] {
         let axis = Axis::of_finger(anchor, e.y.atan2(e.x), 40.0);
@@ -605,13 +606,17 @@ fn the_line_of_a_bent_finger_is_that_of_least_squares_through_its_stretch() {
         for p in [middle - half / 3_f64.sqrt(), middle + half / 3_f64.sqrt()] {
             let on_line = refined.axis.anchor + refined.axis.direction() * p - anchor;
             let (p, q) = (on_line.dot(&e), on_line.dot(&n));
-            assert!((q - sagitta * p * p).abs() < 0.02, "{p}: {q} and {}", sagitta * p * p);
+            assert!(
+                (q - half_curvature * p * p).abs() < 0.02,
+                "{p}: {q} and {}",
+                half_curvature * p * p
+            );
         }
     }
 }
 
 #[test]
-fn a_refiner_remembers_nothing() {
+fn a_refiner_has_no_state_between_frames() {
     let (cone, finger, mut noise) = plain();
     let canvas = cone.render(&PLAIN, 1, &flat);
     let pictures = [(); 2].map(|()| canvas.take(2.0, &mut noise));
@@ -634,7 +639,7 @@ fn every_instruction_set_gives_the_same_bits() {
 }
 
 #[test]
-fn what_shows_no_finger_gives_no_line() {
+fn without_a_finger_there_is_no_line() {
     let (cone, finger, mut noise) = plain();
     let mut refiner = refiner();
     let empty = Canvas::new(SIZE, SIZE, TABLE).take(2.0, &mut noise);
@@ -659,7 +664,7 @@ fn what_shows_no_finger_gives_no_line() {
 }
 
 #[test]
-fn hard_pictures_give_an_honest_line_or_none() {
+fn difficult_pictures_give_a_consistent_line_or_none() {
     let (cone, finger, mut noise) = plain();
     let mut refiner = refiner();
     let mut check = |canvas: &Canvas, what: &str| {
@@ -667,7 +672,7 @@ fn hard_pictures_give_an_honest_line_or_none() {
         for _ in 0..12 {
             let picture = canvas.take(2.0, &mut noise);
             let refined = refine(&mut refiner, &picture, &finger);
-            assert_honest(&cone, refined.as_ref(), what);
+            assert_consistent(&cone, refined.as_ref(), what);
             found += usize::from(refined.is_some());
         }
         found
@@ -688,7 +693,7 @@ fn hard_pictures_give_an_honest_line_or_none() {
 }
 
 #[test]
-fn a_finger_that_leaves_the_picture_is_measured_where_it_shows() {
+fn a_finger_partly_outside_the_picture_is_measured_where_visible() {
     let (cone, finger, mut noise) = plain();
     let canvas = cone.render(&PLAIN, 1, &flat);
     let (mut refiner, mut found) = (refiner(), 0);
@@ -697,14 +702,14 @@ fn a_finger_that_leaves_the_picture_is_measured_where_it_shows() {
         let bytes = whole.bytes.chunks(SIZE).flat_map(|row| &row[..keep]).copied().collect();
         let cut = Picture { width: keep, height: SIZE, bytes };
         let refined = refine(&mut refiner, &cut, &finger);
-        assert_honest(&cone, refined.as_ref(), &format!("{keep} columns"));
+        assert_consistent(&cone, refined.as_ref(), &format!("{keep} columns"));
         found += usize::from(refined.is_some());
     }
     assert!(found >= 2, "{found}");
 }
 
 #[test]
-fn fingers_of_all_sizes() {
+fn small_and_large_fingers_are_refined() {
     let mut refiner = refiner();
     for (seed, scale, trials, least) in [(7, 0.5, 12, 0), (8, 4.0, 2, 2)] {
         let mut noise = Noise::new(seed);
@@ -712,9 +717,9 @@ fn fingers_of_all_sizes() {
         for _ in 0..trials {
             let cone = Cone::random(&mut noise, 0.1, scale);
             let picture = cone.render(&PLAIN, scale.ceil() as usize, &flat).take(2.0, &mut noise);
-            let finger = cone.believed(&mut noise, 0.2);
+            let finger = cone.estimated(&mut noise, 0.2);
             let refined = refine(&mut refiner, &picture, &finger);
-            assert_honest(&cone, refined.as_ref(), &format!("scale {scale}"));
+            assert_consistent(&cone, refined.as_ref(), &format!("scale {scale}"));
             found += usize::from(refined.is_some_and(|r| r.source == Source::Photometric));
         }
         assert!(found >= least, "{found} of {trials} at {scale}");
@@ -722,7 +727,7 @@ fn fingers_of_all_sizes() {
 }
 
 #[test]
-fn numbers_that_are_none_are_refused() {
+fn invalid_numbers_are_refused() {
     let (_, finger, _) = plain();
     let picture = Canvas::new(SIZE, SIZE, TABLE).take(0.0, &mut Noise::new(0));
     let frame = Frame::gray(picture.view());
@@ -766,12 +771,12 @@ fn numbers_that_are_none_are_refused() {
 }
 
 #[test]
-fn a_stretch_that_no_picture_holds_is_refused() {
+fn an_excessive_stretch_is_refused() {
     let (_, finger, _) = plain();
     let picture = Canvas::new(SIZE, SIZE, TABLE).take(0.0, &mut Noise::new(0));
     let frame = Frame::gray(picture.view());
     let mut refiner = refiner();
-    let mut look = |flanks: [Stretch; 2]| {
+    let mut measure = |flanks: [Stretch; 2]| {
         let finger = Finger { flanks, ..finger };
         (
             refiner.refine(&frame, &finger, Polarity::Unknown, None, None),
@@ -780,20 +785,20 @@ fn a_stretch_that_no_picture_holds_is_refused() {
     };
     let stretch = |from_px, to_px| Stretch { from_px, to_px };
     let most = stretch(20.0 - MAX_STRETCH_PX, 20.0);
-    assert!(look([most; 2]).0.is_ok() && look([most; 2]).1.is_ok());
-    // Whichever of the flanks it is, or both together.
+    assert!(measure([most; 2]).0.is_ok() && measure([most; 2]).1.is_ok());
+    // Either flank, or both together.
     let [near, far] = [stretch(0.0, 20.0), stretch(-9e4, -8e4)];
     for flanks in [[stretch(-1e8, 20.0), near], [near, stretch(-66e3, 20.0)], [far, near]] {
-        let refused = look(flanks).0.unwrap_err();
+        let refused = measure(flanks).0.unwrap_err();
         let what = "stretch of the finger [px]";
         assert!(matches!(refused, Error::OutOfRange { what: w, .. } if w == what), "{refused}");
     }
-    let refused = look([stretch(-1e8, 20.0); 2]).1.unwrap_err();
+    let refused = measure([stretch(-1e8, 20.0); 2]).1.unwrap_err();
     assert!(matches!(refused, Error::OutOfRange { .. }), "{refused}");
 }
 
 #[test]
-fn a_background_has_the_size_of_the_frame() {
+fn a_background_must_have_the_size_of_the_frame() {
     let (_, finger, _) = plain();
     let numbers = [1.0_f32; 12];
     assert!(matches!(
@@ -828,8 +833,8 @@ fn a_background_may_be_behind_another_picture_of_the_scene() {
     let level = |i: usize| waves((i % SIZE) as f64, (i / SIZE) as f64) as f32;
     let (mean, sigma) = ((0..SIZE * SIZE).map(level).collect::<Vec<_>>(), vec![0.4; SIZE * SIZE]);
     let known = KnownBackground::new(&mean, &sigma, SIZE, SIZE).unwrap();
-    // What is refined shows the finger to the bisector, but with a contrast and a noise from which
-    // the pixels tell no line.
+    // In the refined picture the bisector finds the finger, but contrast and noise allow no
+    // photometric line.
     let faint = Light { contrast: 12.0, ..PLAIN };
     let mixture = cone.render(&faint, 1, &flat).take(3.0, &mut noise);
     let frame = Frame::gray(mixture.view());
@@ -842,26 +847,26 @@ fn a_background_may_be_behind_another_picture_of_the_scene() {
     let [offset_px, angle_rad] = cone.error(&refined.axis).into();
     assert!(f64::abs(offset_px) < 0.05, "{offset_px} px");
     assert!(f64::abs(angle_rad) < 0.002, "{angle_rad} rad");
-    // The noise is that of the picture that the line comes from.
+    // The reported noise is that of the picture used for the line.
     assert!((1.6..2.6).contains(&refined.noise_grey), "{}", refined.noise_grey);
 }
 
-/// As through a lens of frosted glass: rows are shifted to and fro, by more than a real finger's edge.
+/// Shifts rows alternately, as through frosted glass, by more than the roughness of real flanks.
 fn torn(canvas: &Canvas) -> Canvas {
     let mut torn = canvas.clone();
     for (y, row) in torn.grey.chunks_exact_mut(SIZE).enumerate() {
-        let aside = 0.6 * (y as f64 * 0.8).sin();
+        let shift_px = 0.6 * (y as f64 * 0.8).sin();
         let at = |x: usize| canvas.grey[y * SIZE + x.clamp(0, SIZE - 1)];
         for (x, grey) in row.iter_mut().enumerate().take(SIZE - 1).skip(1) {
-            let next = if aside > 0.0 { at(x + 1) } else { at(x - 1) };
-            *grey = at(x) + f64::abs(aside) * (next - at(x));
+            let next = if shift_px > 0.0 { at(x + 1) } else { at(x - 1) };
+            *grey = at(x) + f64::abs(shift_px) * (next - at(x));
         }
     }
     torn
 }
 
 #[test]
-fn flanks_that_are_not_quite_straight_are_told_of_but_not_believed() {
+fn a_line_from_uneven_flanks_is_reported_as_unsure() {
     let (cone, finger, mut noise) = plain();
     let torn = torn(&cone.render(&PLAIN, 1, &flat));
     let picture = torn.take(2.0, &mut noise);
@@ -875,7 +880,7 @@ fn flanks_that_are_not_quite_straight_are_told_of_but_not_believed() {
 }
 
 #[test]
-fn a_known_background_tells_of_flanks_that_are_not_quite_straight_as_well() {
+fn a_known_background_improves_the_line_from_uneven_flanks() {
     let (mut noise, mut refiner) = (Noise::new(17), refiner());
     let (mut count, mut squares) = (0, [0.0; 2]);
     for _ in 0..40 {
@@ -887,7 +892,7 @@ fn a_known_background_tells_of_flanks_that_are_not_quite_straight_as_well() {
         let mean: Vec<f32> = empty.grey.iter().map(|g| *g as f32).collect();
         let sigma = vec![0.4; SIZE * SIZE];
         let background = KnownBackground::new(&mean, &sigma, SIZE, SIZE).unwrap();
-        let (frame, finger) = (Frame::gray(picture.view()), cone.believed(&mut noise, 0.3));
+        let (frame, finger) = (Frame::gray(picture.view()), cone.estimated(&mut noise, 0.3));
         let mut refine = |background| {
             refiner.refine(&frame, &finger, Polarity::Unknown, None, background).unwrap()
         };
@@ -908,7 +913,7 @@ fn a_known_background_tells_of_flanks_that_are_not_quite_straight_as_well() {
 }
 
 #[test]
-fn a_background_never_seen_is_not_used() {
+fn an_unseen_background_is_not_used() {
     let (cone, finger, mut noise) = plain();
     let picture = cone.render(&PLAIN, 1, &flat).take(2.0, &mut noise);
     let (mean, unseen) = (vec![TABLE as f32; SIZE * SIZE], vec![f32::INFINITY; SIZE * SIZE]);
@@ -919,8 +924,7 @@ fn a_background_never_seen_is_not_used() {
     assert_eq!(refine(Some(&background)).unwrap(), refine(None).unwrap());
 }
 
-/// The offsets and angles of a refined finger before a background that is known as `known` says, of
-/// a picture that shows `shown` behind it.
+/// Refines a finger before the background `shown`, with `known` as the known background.
 fn before(
     shown: &dyn Fn(f64, f64) -> f64,
     known: Option<&dyn Fn(f64, f64) -> f64>,
@@ -954,7 +958,7 @@ fn a_known_background_may_lie_in_a_shadow() {
 }
 
 #[test]
-fn a_background_that_is_not_there_is_not_believed() {
+fn a_wrong_background_is_not_used() {
     let stripes = |u: f64, _: f64| if u.rem_euclid(12.0) < 6.0 { 40.0 } else { 130.0 };
     let flat_behind = |_: f64, _: f64| TABLE;
     let (_, known) = before(&flat_behind, Some(&stripes));
@@ -985,7 +989,7 @@ fn options_out_of_range_are_refused() {
     refused(&|o| o.photometric.max_iterations = 0);
 }
 
-/// A finger of some 14 px, bent in its middle, and what a tracker that follows its tip would know.
+/// A finger of about 14 px, bent in its middle, and the estimate of a tracker that follows its tip.
 fn bent_finger(bend_rad: f64, noise: &mut Noise) -> (BentFinger, Finger) {
     let middle = 0.5 * SIZE as f64;
     let finger = BentFinger {
@@ -995,13 +999,14 @@ fn bent_finger(bend_rad: f64, noise: &mut Noise) -> (BentFinger, Finger) {
         length_px: 36.0,
         half_width_px: 7.0,
     };
-    // A line through both parts of a finger that is hardly bent; along the tip of others.
+    // The estimate is a line through both parts at a small bend, and along the tip part at a large
+    // one.
     let lag = if bend_rad.abs() < 0.4 { 0.5 } else { 0.0 };
     let angle_rad = finger.angle_rad + (1.0 - lag) * bend_rad;
     let axis = Axis::of_finger(finger.joint_px, angle_rad, 36.0);
     let stretch = Stretch { from_px: -25.0, to_px: 31.0 };
     let flanks = [stretch; 2];
-    let believed = Finger {
+    let estimated = Finger {
         axis,
         half_width_px: 7.2,
         taper: 0.0,
@@ -1009,11 +1014,11 @@ fn bent_finger(bend_rad: f64, noise: &mut Noise) -> (BentFinger, Finger) {
         round_end_px: Some(29.0),
         belief: None,
     };
-    (finger, believed)
+    (finger, estimated)
 }
 
-/// What the hand looks like before an even background.
-fn looks(frame: &Frame<'_>, finger: &BentFinger) -> HistogramModel {
+/// The appearance model of the hand before a uniform background.
+fn learned(frame: &Frame<'_>, finger: &BentFinger) -> HistogramModel {
     let mut appearance = HistogramModel::new(false);
     for (x, y) in (0..SIZE).flat_map(|y| (0..SIZE).map(move |x| (x, y))) {
         let (x, y) = (x as f64, y as f64);
@@ -1027,18 +1032,20 @@ fn looks(frame: &Frame<'_>, finger: &BentFinger) -> HistogramModel {
 }
 
 #[test]
-fn a_bend_is_measured_as_it_is() {
+fn a_bend_is_measured_correctly() {
     let mut noise = Noise::new(0x6265_6e64);
     let mut refiner = refiner();
     for bend_deg in [-60.0, -45.0, -25.0, -15.0, -5.0, 0.0, 3.0, 10.0, 20.0, 30.0, 50.0, 65.0] {
         for _ in 0..4 {
-            let (finger, believed) = bent_finger(f64::to_radians(bend_deg), &mut noise);
+            let (finger, estimated) = bent_finger(f64::to_radians(bend_deg), &mut noise);
             let canvas = Canvas::new(SIZE, SIZE, TABLE).paint(&finger, TABLE + 80.0).blur(0.96);
             let picture = canvas.take(2.0, &mut noise);
             let frame = Frame::gray(picture.view());
-            let looks = looks(&frame, &finger);
-            let bend =
-                refiner.bend(&frame, &believed, Polarity::Bright, Some(&looks)).unwrap().unwrap();
+            let appearance = learned(&frame, &finger);
+            let bend = refiner
+                .bend(&frame, &estimated, Polarity::Bright, Some(&appearance))
+                .unwrap()
+                .unwrap();
             let error_deg = bend.angle_rad.to_degrees() - bend_deg;
             assert!(error_deg.abs() < 3.0, "{error_deg} at {bend_deg}: {bend:?}");
             assert!((0.0..0.1).contains(&bend.sigma_rad), "{bend:?}");
@@ -1047,7 +1054,7 @@ fn a_bend_is_measured_as_it_is() {
 }
 
 #[test]
-fn straight_fingers_have_no_bend_however_they_are_lit() {
+fn straight_fingers_have_no_bend_under_any_light() {
     let mut noise = Noise::new(0x7374_7261);
     let mut refiner = refiner();
     let lit = Light { side: 0.3, limb: 0.3, ..PLAIN };
@@ -1055,21 +1062,21 @@ fn straight_fingers_have_no_bend_however_they_are_lit() {
         for _ in 0..8 {
             let cone = Cone::random(&mut noise, taper, 1.0);
             let picture = cone.render(&light, 1, &|_, _| TABLE).take(2.0, &mut noise);
-            let believed = cone.believed(&mut noise, 0.3);
+            let estimated = cone.estimated(&mut noise, 0.3);
             let frame = Frame::gray(picture.view());
-            let bend = refiner.bend(&frame, &believed, Polarity::Bright, None).unwrap().unwrap();
+            let bend = refiner.bend(&frame, &estimated, Polarity::Bright, None).unwrap().unwrap();
             assert!(bend.angle_rad.abs() < 0.03, "{bend:?} of {cone:?}");
         }
     }
 }
 
 #[test]
-fn a_half_that_does_not_show_does_not_bend() {
+fn a_finger_with_a_hidden_half_has_no_bend() {
     let mut noise = Noise::new(0x6869_6465);
     let mut refiner = refiner();
     for bend_rad in [0.0, 0.4] {
-        let (finger, believed) = bent_finger(bend_rad, &mut noise);
-        // A disc before the half with the knuckle: as bright as the finger, and larger.
+        let (finger, estimated) = bent_finger(bend_rad, &mut noise);
+        // A disc before the knuckle half, as bright as the finger and larger.
         let back = Vector2::new(finger.angle_rad.cos(), finger.angle_rad.sin()) * 16.0;
         let disc = BentFinger {
             joint_px: finger.joint_px - back,
@@ -1081,12 +1088,12 @@ fn a_half_that_does_not_show_does_not_bend() {
         let canvas = Canvas::new(SIZE, SIZE, TABLE).paint(&finger, 150.0).paint(&disc, 150.0);
         let picture = canvas.blur(0.96).take(2.0, &mut noise);
         let frame = Frame::gray(picture.view());
-        let bend = refiner.bend(&frame, &believed, Polarity::Bright, None).unwrap();
+        let bend = refiner.bend(&frame, &estimated, Polarity::Bright, None).unwrap();
         assert_eq!(bend, None, "{bend_rad}");
     }
 }
 
-/// Something round before a finger.
+/// An occluding disc.
 struct Disc {
     middle: Point2<f64>,
     radius_px: f64,
@@ -1103,26 +1110,26 @@ impl Shape for Disc {
 /// A disc before the right (1) or the left (−1) flank of a straight finger.
 fn disc_over(finger: &BentFinger, side: f64, along_px: f64, radius_px: f64) -> Disc {
     let (sin, cos) = finger.angle_rad.sin_cos();
-    let aside = Vector2::new(-sin, cos) * (side * (finger.half_width_px + 1.0));
-    Disc { middle: finger.joint_px + Vector2::new(cos, sin) * along_px + aside, radius_px }
+    let offset = Vector2::new(-sin, cos) * (side * (finger.half_width_px + 1.0));
+    Disc { middle: finger.joint_px + Vector2::new(cos, sin) * along_px + offset, radius_px }
 }
 
 #[test]
-fn a_finger_that_is_covered_in_part_is_told_by_its_bare_stretches() {
+fn a_partly_occluded_finger_is_refined_by_its_visible_stretches() {
     let mut noise = Noise::new(0x6261_7265);
     let mut refiner = refiner();
-    let [mut bare, mut all, mut told] = [0.0; 3];
+    let [mut bare, mut all, mut nees] = [0.0; 3];
     let mut count = 0.0;
     for cover in [20.0, TABLE + 75.0, 200.0, 235.0] {
         for k in 0..12 {
-            let (finger, believed) = bent_finger(0.0, &mut noise);
+            let (finger, estimated) = bent_finger(0.0, &mut noise);
             let discs = [1.0, -1.0].map(|side| {
                 let along_px = side * noise.between(4.0, 16.0);
                 disc_over(&finger, side, along_px, noise.between(8.0, 11.0))
             });
             let canvas = Canvas::new(SIZE, SIZE, TABLE).paint(&finger, TABLE + 80.0);
             let whole = canvas.clone().blur(0.96).take(2.0, &mut noise);
-            let looks = looks(&Frame::gray(whole.view()), &finger);
+            let appearance = learned(&Frame::gray(whole.view()), &finger);
             let picture = discs.iter().fold(canvas, |canvas, disc| canvas.paint(disc, cover));
             let picture = picture.blur(0.96).take(2.0, &mut noise);
             let frame = Frame::gray(picture.view());
@@ -1135,31 +1142,34 @@ fn a_finger_that_is_covered_in_part_is_told_by_its_bare_stretches() {
             });
             let mut turned = |finger_of: &Finger| {
                 let refined =
-                    refiner.refine(&frame, finger_of, Polarity::Bright, Some(&looks), None);
+                    refiner.refine(&frame, finger_of, Polarity::Bright, Some(&appearance), None);
                 refined.unwrap().map(|r| ((r.axis.angle_rad - finger.angle_rad).sin(), r))
             };
-            let (turn, refined) = turned(&Finger { belief, ..believed }).unwrap();
+            let (turn, refined) = turned(&Finger { belief, ..estimated }).unwrap();
             assert_eq!(refined.source, Source::Photometric, "{cover} {k}");
             let (bare_here, sigma2) = (turn * turn, refined.covariance[(1, 1)]);
             assert!(bare_here < 25.0 * sigma2, "{cover} {k}: {turn} {}", sigma2.sqrt());
-            all += turned(&believed).map_or(0.0, |(turn, _)| turn * turn);
-            (bare, told, count) = (bare + bare_here, told + bare_here / sigma2, count + 1.0);
+            all += turned(&estimated).map_or(0.0, |(turn, _)| turn * turn);
+            (bare, nees, count) = (bare + bare_here, nees + bare_here / sigma2, count + 1.0);
         }
     }
     assert!(bare < 0.1 * all, "{} {}", (bare / count).sqrt(), (all / count).sqrt());
-    assert!((0.5..2.0).contains(&(told / count)), "{}", told / count);
+    assert!((0.5..2.0).contains(&(nees / count)), "{}", nees / count);
 }
 
 #[test]
 fn a_taper_that_closes_the_finger_is_no_error() {
     let mut noise = Noise::new(0x7461_7065);
     let mut refiner = refiner();
-    let (finger, believed) = bent_finger(1.0, &mut noise);
+    let (finger, estimated) = bent_finger(1.0, &mut noise);
     let picture = Canvas::new(SIZE, SIZE, TABLE).paint(&finger, 150.0).take(2.0, &mut noise);
     let frame = Frame::gray(picture.view());
-    let looks = looks(&frame, &finger);
+    let appearance = learned(&frame, &finger);
     for taper in [-0.22, -0.15, 0.15, 0.22, 0.27] {
-        let tapered = Finger { taper, ..believed };
-        assert!(refiner.bend(&frame, &tapered, Polarity::Bright, Some(&looks)).is_ok(), "{taper}");
+        let tapered = Finger { taper, ..estimated };
+        assert!(
+            refiner.bend(&frame, &tapered, Polarity::Bright, Some(&appearance)).is_ok(),
+            "{taper}"
+        );
     }
 }

@@ -1,4 +1,4 @@
-//! Round fingers against bodies whose light is worked out from their normals, rendered by supersampling.
+//! Round fingers fitted to bodies shaded by their normals and rendered by supersampling.
 
 use crate::common::Noise;
 use fingerpost_core::axis::RoundFinger;
@@ -9,20 +9,20 @@ use fingerpost_core::{Error, Frame, GrayView};
 
 const WIDTH: usize = 200;
 const HEIGHT: usize = 160;
-/// Samples of a pixel along either side.
+/// Samples per pixel in each direction.
 const FINE: usize = 4;
 
-/// A tapered round body with a round end, lit from one side and a little from everywhere.
+/// A tapered round body with a round end, under directional and ambient light.
 #[derive(Debug, Clone, Copy)]
 struct Body {
     tip: Point2<f64>,
     angle_rad: f64,
-    /// Half its width, 30 px behind the tip, and its growth per px towards that.
+    /// Half the width 30 px behind the tip, and its growth per px towards the tip.
     half_width_px: f64,
     taper: f64,
-    /// 0 from where it is seen, positive from the side of its normal (−sin, cos).
+    /// Direction of the light: 0 from the viewer, positive from the side of the normal (−sin, cos).
     light_rad: f64,
-    /// Its level without and with the whole of that light.
+    /// Grey levels without and with the full directional light.
     levels: [f64; 2],
 }
 
@@ -34,7 +34,7 @@ const BODY: Body = Body {
     light_rad: -0.9,
     levels: [70.0, 170.0],
 };
-/// As dark as the side of the body that no light reaches.
+/// As dark as the unlit side of the body.
 const TABLE: f64 = 70.0;
 const LENGTH_PX: f64 = 60.0;
 
@@ -45,12 +45,12 @@ impl Body {
         Axis { anchor, tip: self.tip, angle_rad: self.angle_rad }
     }
 
-    /// The level of a point of the body; `None` beside it.
+    /// Grey level at a point; `None` outside the body.
     fn level(&self, at: Point2<f64>) -> Option<f64> {
         let (axis, d) = (self.axis(), at - self.tip);
         let (p, q) = (d.dot(&axis.direction()), d.dot(&axis.normal()));
         let half_width = self.half_width_px + self.taper * (p + 30.0);
-        // The end is half a disc, as bright as the body behind it.
+        // The end is a half disc, shaded like the body behind it.
         let beyond = (p + half_width).max(0.0);
         let y = q / half_width;
         let z_squared = 1.0 - y * y - (beyond / half_width).powi(2);
@@ -62,7 +62,7 @@ impl Body {
         Some(dark + (lit - dark) * light.max(0.0))
     }
 
-    /// A picture of it: every pixel the mean of its samples, noise of one grey level added.
+    /// A picture: every pixel is the mean of its samples, with noise of one grey level.
     fn picture(&self, table: f64, noise: &mut Noise) -> Vec<u8> {
         let sample = |x: usize, i: usize| x as f64 + (i as f64 + 0.5) / FINE as f64 - 0.5;
         let pixel = |k: usize| {
@@ -76,17 +76,17 @@ impl Body {
         (0..WIDTH * HEIGHT).map(pixel).collect()
     }
 
-    /// What edges show of it before a table as dark as its dark side: the line between them, and half
-    /// the way from one to the other. The light ends where it runs along the surface, at y = cos φ.
+    /// Axis and half-width of the part with visible edges before a table as dark as the unlit side.
+    /// The light ends where it is tangential to the surface, at y = cos φ.
     fn lit_part(&self) -> (Axis, f64) {
         let hidden_px = self.half_width_px * (1.0 - self.light_rad.cos());
         self.seen(0.5 * hidden_px * self.light_rad.signum(), hidden_px)
     }
 
-    /// A line `aside_px` off its axis, and half its width but for what is hidden of its whole width.
-    fn seen(&self, aside_px: f64, hidden_px: f64) -> (Axis, f64) {
+    /// A line at an offset from the axis, and half of the visible width.
+    fn seen(&self, offset_px: f64, hidden_px: f64) -> (Axis, f64) {
         let axis = self.axis();
-        let moved = axis.normal() * aside_px;
+        let moved = axis.normal() * offset_px;
         let axis = Axis { anchor: axis.anchor + moved, tip: axis.tip + moved, ..axis };
         (axis, self.half_width_px - 0.5 * hidden_px)
     }
@@ -101,12 +101,12 @@ fn fit(pixels: &[u8], (axis, half_width_px): (Axis, f64)) -> RoundFinger {
 }
 
 #[test]
-fn half_a_finger_tells_where_its_axis_is_and_how_wide_it_is() {
+fn the_lit_half_of_a_finger_determines_its_axis_and_width() {
     let mut noise = Noise::new(5);
     for light_rad in [-1.3, -1.1, -0.9, 0.9, 1.1, 1.3] {
         for angle_rad in [-0.7, 0.3, 2.0] {
             let mut body = Body { angle_rad, light_rad, ..BODY };
-            // All of it in the picture, whatever its angle.
+            // The whole body is in the picture at any angle.
             body.tip = Point2::new(100.0, 80.0) + body.axis().direction() * 30.0;
             let (axis, shown_px) = body.lit_part();
             let finger = fit(&body.picture(TABLE, &mut noise), (axis, shown_px));
@@ -121,7 +121,7 @@ fn half_a_finger_tells_where_its_axis_is_and_how_wide_it_is() {
 }
 
 #[test]
-fn a_finger_whose_flanks_both_show_lies_between_them() {
+fn a_finger_with_two_visible_flanks_lies_between_them() {
     let mut noise = Noise::new(7);
     for light_rad in [-0.9, 0.0, 0.5] {
         for table in [20.0, 220.0] {
@@ -136,8 +136,8 @@ fn a_finger_whose_flanks_both_show_lies_between_them() {
 }
 
 #[test]
-fn a_flank_that_only_colours_show_is_seen() {
-    // Of three channels that have one mean, two show the dark flank.
+fn a_flank_visible_in_colour_only_is_found() {
+    // Two of three channels with equal means have contrast at the dark flank.
     let mut noise = Noise::new(11);
     let channels = [[40.0, 110.0], [100.0, 30.0], [70.0, 70.0]].map(|[dark, table]| {
         Body { levels: [dark, dark + 100.0], ..BODY }.picture(table, &mut noise)
@@ -155,7 +155,7 @@ fn a_flank_that_only_colours_show_is_seen() {
 }
 
 #[test]
-fn it_is_never_worse_than_the_body_about_the_given_axis() {
+fn the_fit_is_never_worse_than_the_body_about_the_given_axis() {
     let mut noise = Noise::new(13);
     for k in 0..40 {
         let body = Body {
@@ -176,7 +176,7 @@ fn it_is_never_worse_than_the_body_about_the_given_axis() {
 }
 
 #[test]
-fn pictures_without_a_finger_have_finite_ones() {
+fn pictures_without_a_finger_give_finite_results() {
     let (axis, half_width_px) = BODY.seen(0.0, 0.0);
     for pixels in [vec![0; WIDTH * HEIGHT], vec![255; WIDTH * HEIGHT]] {
         let finger = fit(&pixels, (axis, half_width_px));
@@ -185,7 +185,7 @@ fn pictures_without_a_finger_have_finite_ones() {
 }
 
 #[test]
-fn a_finger_that_is_not_all_in_the_picture_is_none() {
+fn a_finger_partly_outside_the_picture_gives_none() {
     let pixels = BODY.picture(TABLE, &mut Noise::new(1));
     for (u, v) in [(20.0, 80.0), (140.0, 8.0), (140.0, 155.0), (-500.0, 0.0), (1e9, 1e9)] {
         let axis = Axis::of_finger(Point2::new(u, v), 0.0, 30.0);
@@ -194,7 +194,7 @@ fn a_finger_that_is_not_all_in_the_picture_is_none() {
 }
 
 #[test]
-fn numbers_that_are_none_are_refused() {
+fn invalid_numbers_are_refused() {
     let pixels = BODY.picture(TABLE, &mut Noise::new(1));
     let (axis, half_width_px) = BODY.seen(0.0, 0.0);
     let refused = |axis: Axis, half_width_px: f64| {

@@ -1,4 +1,4 @@
-//! The search along normals on rendered edges whose place is known, and on any bytes at all.
+//! The search along normals on rendered edges at known positions and on arbitrary bytes.
 
 use crate::common::{Canvas, HalfPlane, Noise, Picture};
 use fingerpost_core::appearance::histogram::HistogramModel;
@@ -69,11 +69,10 @@ fn picture(edge: &HalfPlane) -> Picture {
 const CENTRE: Point2<f64> = Point2::new(31.3, 32.2);
 
 #[test]
-fn an_edge_is_found_at_any_angle_and_fraction_of_a_pixel() {
-    /// Interpolation between pixels, in the image and between the kernel's answers, and rounding to
-    /// 8 bits.
+fn an_edge_is_found_at_any_angle_and_subpixel_position() {
+    /// Interpolation between pixels and between the kernel's responses, and rounding to 8 bits.
     const OFFSET_TOLERANCE_PX: f64 = 0.04;
-    /// The answer is read at the whole pixel next to the edge, up to half a pixel off its peak.
+    /// The response is read at the pixel nearest to the edge, up to half a pixel from its peak.
     const CONTRAST_TOLERANCE: f64 = 0.05;
     for turn in 0..24 {
         let angle_rad = 0.1 + TAU * f64::from(turn) / 24.0;
@@ -96,8 +95,8 @@ fn an_edge_is_found_at_any_angle_and_fraction_of_a_pixel() {
 }
 
 #[test]
-fn along_a_row_of_pixels_the_offset_is_right_to_a_hundredth() {
-    /// A hundredth from the parabola, the rest from fixed point.
+fn along_a_row_of_pixels_the_offset_is_accurate_to_a_hundredth() {
+    /// 0.01 px from the parabola, the rest from fixed-point arithmetic.
     const TOLERANCE_PX: f64 = 0.011;
     for k in 0..20 {
         let offset_px = f64::from(k) * 0.35 - 3.5;
@@ -109,9 +108,9 @@ fn along_a_row_of_pixels_the_offset_is_right_to_a_hundredth() {
 }
 
 #[test]
-fn the_polarity_is_kept_to() {
-    // A bright band: from inside of it outwards its far side is a bright hand's edge, its near
-    // side a dark one's, and that is the stronger of the two.
+fn the_polarity_is_respected() {
+    // A bright band: along the normal, its far side is an edge of a bright hand and its near side,
+    // the stronger one, of a dark hand.
     let far = HalfPlane::beyond(CENTRE, 0.0, 6.0);
     let near = HalfPlane::beyond(CENTRE, 0.0, -6.0);
     let canvas = Canvas::new(64, 64, 100.0).paint(&far, 180.0).paint(&near, 60.0);
@@ -124,18 +123,18 @@ fn the_polarity_is_kept_to() {
     assert!((dark.offset_px + 6.0).abs() < 0.05 && (dark.contrast_grey + 120.0).abs() < 6.0);
     assert_eq!(found(Polarity::Unknown), dark);
     assert!(bright.contrast_grey > 0.0 && dark.contrast_grey < 0.0);
-    // A stronger edge is a better one.
+    // A stronger edge has a smaller variance.
     assert!(dark.variance_px2 < bright.variance_px2);
 }
 
-/// Mean of the squared errors of the offsets, and of the variances claimed, at points a pixel apart
-/// along edges at several fractions of a pixel.
+/// Means of the squared errors of the offsets and of the reported variances, at points one pixel
+/// apart along edges at several subpixel positions.
 fn scatter_and_claim(options: SearchOptions, scale: Scale, angle_rad: f64) -> (f64, f64) {
     const PICTURES: u64 = 40;
     let (middle, normal) = (Point2::new(50.0, 50.0), at_angle(angle_rad));
     let along = Vector2::new(-normal.y, normal.x);
     let lines: Vec<_> = (-30..=30).map(|t| line(middle + along * f64::from(t), normal)).collect();
-    // The pixel's own extent is part of the blur that the options name.
+    // The blur of the options includes the extent of a pixel.
     let blur_px = (options.blur_px.powi(2) - 1.0 / 12.0).sqrt();
     let mut noise = Noise::new(0x7661_7269);
     let (mut squares, mut claims, mut count) = (0.0, 0.0, 0.0);
@@ -157,9 +156,9 @@ fn scatter_and_claim(options: SearchOptions, scale: Scale, angle_rad: f64) -> (f
 }
 
 #[test]
-fn the_variance_is_what_monte_carlo_sees() {
-    // Normals along a row of whole pixels, one per row: no pixel is interpolated or used twice,
-    // as the formula has it. 7320 offsets tell their variance to 1.7 %.
+fn the_variance_matches_monte_carlo() {
+    // Normals along rows of pixels, one per row: no pixel is interpolated or used twice, as the
+    // formula assumes. 7320 offsets determine their variance to 1.7 %.
     for (scale_px, blur_px, scale) in [
         (1.6, 1.0, Scale::Fine),
         (2.2, 1.0, Scale::Fine),
@@ -177,8 +176,8 @@ fn the_variance_is_what_monte_carlo_sees() {
 }
 
 #[test]
-fn pairs_of_pixels_averaged_only_help() {
-    // At any other angle every sample lies between pixels, which averages their noise.
+fn interpolation_only_reduces_the_variance() {
+    // At other angles every sample is interpolated between pixels, which averages their noise.
     for angle_rad in [0.02, 0.4] {
         let (seen, claimed) = scatter_and_claim(options(), Scale::Fine, angle_rad);
         assert!((0.3..1.1).contains(&(seen / claimed)), "{seen} {claimed} at {angle_rad}");
@@ -186,7 +185,7 @@ fn pairs_of_pixels_averaged_only_help() {
 }
 
 #[test]
-fn where_there_is_no_edge_there_is_no_offset() {
+fn without_an_edge_there_is_no_offset() {
     let flat = Canvas::new(64, 64, 128.0).take(0.0, &mut Noise::new(0));
     for polarity in [Polarity::Bright, Polarity::Dark, Polarity::Unknown] {
         let line = SearchLine { polarity, ..line(CENTRE, Vector2::y()) };
@@ -197,7 +196,7 @@ fn where_there_is_no_edge_there_is_no_offset() {
 }
 
 #[test]
-fn the_least_contrast_decides() {
+fn the_minimum_contrast_is_a_threshold() {
     let picture = picture(&HalfPlane::beyond(CENTRE, 0.7, 1.0));
     let with = |min_contrast_grey| {
         let options = SearchOptions { min_contrast_grey, ..options() };
@@ -209,7 +208,7 @@ fn the_least_contrast_decides() {
 }
 
 #[test]
-fn an_edge_beyond_the_line_is_not_pulled_onto_it() {
+fn an_edge_beyond_the_line_is_not_reported_on_it() {
     let found_at = |offset_px| {
         let picture = picture(&HalfPlane::beyond(CENTRE, 0.4, offset_px));
         search(picture.view(), &line(CENTRE, at_angle(0.4)))
@@ -223,8 +222,8 @@ fn an_edge_beyond_the_line_is_not_pulled_onto_it() {
 }
 
 #[test]
-fn a_line_reaches_as_far_as_it_is_long() {
-    // A peak has a neighbour on either side, so the outermost offset is none.
+fn edges_are_found_within_the_length_of_the_line() {
+    // A peak needs a neighbour on either side, so the outermost offset cannot be one.
     for (offset_px, half_length_px) in
         [(0.0, 1.0), (0.0, 0.3), (3.0, 4.0), (-3.0, 4.0), (6.0, 6.1), (-9.0, 10.0), (9.0, 10.0)]
     {
@@ -244,7 +243,7 @@ fn a_line_reaches_as_far_as_it_is_long() {
 }
 
 #[test]
-fn a_sample_outside_the_image_is_out_of_it() {
+fn a_sample_outside_the_image_is_a_miss() {
     let picture = picture(&HalfPlane::beyond(CENTRE, 0.0, 0.0));
     for (u, v) in
         [(-0.1, 30.0), (63.1, 30.0), (30.0, -0.1), (30.0, 63.1), (1e9, 1e9), (-1e300, 3.0)]
@@ -254,13 +253,13 @@ fn a_sample_outside_the_image_is_out_of_it() {
             assert_eq!(search(picture.view(), &line), Err(Miss::OutOfImage), "{u} {v}");
         }
     }
-    // Inside, but so near the border that the kernel covers no three places.
+    // Inside, but too close to the border for three positions of the kernel.
     let line = line(Point2::new(2.0, 30.0), Vector2::x());
     assert_eq!(search(picture.view(), &line), Err(Miss::OutOfImage));
 }
 
 #[test]
-fn near_the_border_what_is_visible_counts_and_nothing_is_invented() {
+fn near_the_border_only_the_visible_part_is_searched() {
     // The border is 9 px outward: the line loses its outer half.
     let at = Point2::new(54.0, 30.0);
     for offset_px in [-6.0, -2.5, 0.0, 2.0] {
@@ -268,12 +267,12 @@ fn near_the_border_what_is_visible_counts_and_nothing_is_invented() {
         let edge = search(picture.view(), &line(at, Vector2::x())).unwrap();
         assert!((edge.offset_px - offset_px).abs() < 0.02, "{edge:?}");
     }
-    // The edge is there, but the kernel would have to look across the border to see it.
+    // The edge is visible, but the kernel would extend beyond the border.
     let picture = picture(&HalfPlane::beyond(at, 0.0, 6.5));
     assert!(search(picture.view(), &line(at, Vector2::x())).is_err());
 }
 
-/// What a hand of one brightness looks like before clutter of another.
+/// The appearance model of a frame with known hand pixels.
 fn learned(frame: &Frame<'_>, is_hand: impl Fn(usize, usize) -> bool) -> HistogramModel {
     let mut appearance = HistogramModel::new(frame.colour().is_some());
     for y in 0..frame.image().height() {
@@ -285,8 +284,8 @@ fn learned(frame: &Frame<'_>, is_hand: impl Fn(usize, usize) -> bool) -> Histogr
     appearance
 }
 
-/// A hand of brightness 150 left of u = 33.4, a background of 60, and bright stripes to both sides
-/// of its edge that outshine it.
+/// A hand of level 150 left of u = 33.4, a background of level 60, and stripes on both sides of the
+/// hand's edge with stronger edges.
 fn cluttered() -> Picture {
     let to = |u: f64| HalfPlane { through: Point2::new(u, 0.0), outward: Vector2::x() };
     let canvas = Canvas::new(64, 64, 60.0).paint(&to(46.0), 250.0).paint(&to(40.0), 60.0);
@@ -295,7 +294,7 @@ fn cluttered() -> Picture {
 }
 
 #[test]
-fn the_hand_s_edge_is_told_from_stronger_ones() {
+fn the_edge_of_the_hand_is_distinguished_from_stronger_ones() {
     let picture = cluttered();
     let appearance = learned(&picture.view().into(), |x, _| x <= 33);
     for polarity in [Polarity::Bright, Polarity::Unknown] {
@@ -324,9 +323,9 @@ fn the_hand_s_edge_is_told_from_stronger_ones() {
     }
 }
 
-/// The mean vote of the pixels nearest to some samples of a line, whose coordinates are 16.16 fixed
-/// point, counted from its inner end on.
-fn mean_vote(
+/// Mean log-likelihood ratio of the pixels nearest to samples of a line, which are counted from its
+/// inner end; coordinates are 16.16 fixed point.
+fn mean_log_ratio(
     frame: &Frame<'_>,
     appearance: &HistogramModel,
     sample: &PlacedSample,
@@ -340,19 +339,19 @@ fn mean_vote(
         let at = fixed(start) + fixed(step) * i;
         ((at + (1 << 15)) >> 16) as f64
     };
-    let votes = samples.map(|i| {
+    let ratios = samples.map(|i| {
         let u = nearest(first.x, sample.normal.x, i);
         f64::from(appearance.log_ratio(frame, u, nearest(first.y, sample.normal.y, i)))
     });
-    votes.sum::<f64>() / count as f64
+    ratios.sum::<f64>() / count as f64
 }
 
 #[test]
-fn the_nearest_pixels_vote_on_either_side_of_an_edge() {
+fn separation_is_the_difference_of_mean_log_ratios() {
     let picture = cluttered();
     let frame = picture.view().into();
     let appearance = learned(&frame, |x, _| x <= 33);
-    // The kernel of 1.6 px reaches 5 px; a line is read that much beyond its ends.
+    // The kernel of 1.6 px has a reach of 5 px, by which samples extend beyond the line's ends.
     let (half, reach) = (8, 5);
     let lines: Vec<_> = (0..600)
         .map(|i| SearchLine {
@@ -370,7 +369,7 @@ fn the_nearest_pixels_vote_on_either_side_of_an_edge() {
         let Ok(edge) = edge else { continue };
         let at = edge.offset_px.round() as i64 + half + reach;
         let first_px = -(half + reach) as f64;
-        let mean = |samples| mean_vote(&frame, &appearance, &line.sample, first_px, samples);
+        let mean = |samples| mean_log_ratio(&frame, &appearance, &line.sample, first_px, samples);
         let separation = mean(at - reach..at) - mean(at + 1..at + 1 + reach);
         assert!((edge.separation.unwrap() - separation).abs() < 1e-5, "{edge:?}: {separation}");
         compared += 1;
@@ -379,8 +378,8 @@ fn the_nearest_pixels_vote_on_either_side_of_an_edge() {
 }
 
 #[test]
-fn votes_need_no_edge() {
-    // A smear of 30 px between hand and background: no kernel sees a step in it.
+fn log_ratios_locate_a_blurred_boundary() {
+    // A ramp of 30 px between hand and background, in which no kernel finds an edge.
     let (width, height) = (96, 16);
     let ramp = |x: usize| (200.0 - 3.0 * (x as f64 - 33.0).clamp(0.0, 30.0)) as u8;
     let bytes = (0..width * height).map(|i| ramp(i % width)).collect();
@@ -397,7 +396,7 @@ fn votes_need_no_edge() {
 }
 
 #[test]
-fn without_a_known_hand_no_edge_is_the_hand_s() {
+fn without_a_learned_hand_no_edge_is_reported() {
     let picture = picture(&HalfPlane::beyond(CENTRE, 0.0, 1.0));
     let unknown = HistogramModel::new(false);
     let line = line(CENTRE, Vector2::x());
@@ -408,8 +407,8 @@ fn without_a_known_hand_no_edge_is_the_hand_s() {
 }
 
 #[test]
-fn an_edge_of_no_contrast_is_none() {
-    // Flat, then darker outward along the normal: where a dark hand's edge would be there is none.
+fn an_edge_without_contrast_is_not_reported() {
+    // A flat area, then a falling edge along the normal, so no edge of a dark hand.
     let (width, height) = (64, 8);
     let bytes = (0..width * height).map(|i| if i % width < 40 { 150 } else { 60 }).collect();
     let picture = Picture { width, height, bytes };
@@ -429,7 +428,7 @@ fn an_edge_of_no_contrast_is_none() {
 }
 
 #[test]
-fn what_is_no_number_is_refused() {
+fn non_finite_lines_are_refused() {
     let picture = Canvas::new(16, 16, 50.0).take(0.0, &mut Noise::new(0));
     let frame = Frame::gray(picture.view());
     let mut search = EdgeSearch::new(options()).unwrap();
@@ -515,7 +514,7 @@ fn options_out_of_range_are_refused() {
 }
 
 #[test]
-fn a_search_remembers_nothing() {
+fn a_search_has_no_state_between_calls() {
     let picture = cluttered();
     let frame = Frame::gray(picture.view());
     let appearance = learned(&picture.view().into(), |x, _| x <= 33);
@@ -530,14 +529,14 @@ fn a_search_remembers_nothing() {
 }
 
 #[test]
-fn rows_that_lie_far_apart_give_the_same() {
+fn large_strides_give_the_same_bits() {
     let close = cluttered();
     let Picture { width, height, .. } = close;
     let along = |k: u32| line(CENTRE + at_angle(f64::from(k)), at_angle(f64::from(3 * k)));
     let lines: Vec<_> = (0..40).map(along).collect();
     let expected = search_all(options(), close.view(), Cue::Edges, Scale::Fine, &lines);
     assert!(expected.iter().any(Result::is_ok));
-    // 16 bits with a sign hold the first alone.
+    // Only the first stride fits in 16 bits with a sign.
     for stride in [32_767, 32_768, 100_000] {
         let mut bytes = vec![0; (height - 1) * stride + width];
         for (row, far) in close.bytes.chunks_exact(width).zip(bytes.chunks_mut(stride)) {
@@ -553,7 +552,7 @@ fn rows_that_lie_far_apart_give_the_same() {
     }
 }
 
-/// Bytes of any kind: noise, all equal, black and white.
+/// Arbitrary bytes: noise, uniform, or black and white.
 fn pictures() -> impl Strategy<Value = Picture> {
     let side = || prop_oneof![Just(1_usize), 1..40_usize];
     let byte = prop_oneof![Just(0_u8), Just(255_u8), any::<u8>()];
@@ -569,7 +568,7 @@ fn pictures() -> impl Strategy<Value = Picture> {
     )
 }
 
-/// On a border, inside, outside and far away.
+/// Coordinates on a border, inside, outside and far away.
 fn coordinates() -> impl Strategy<Value = f64> {
     prop_oneof![
         Just(0.0),
@@ -580,7 +579,7 @@ fn coordinates() -> impl Strategy<Value = f64> {
     ]
 }
 
-/// Unit vectors, along the axes as often as not, and some that are none.
+/// Unit vectors, half of them along the axes, and some invalid ones.
 fn normals() -> impl Strategy<Value = Vector2<f64>> {
     prop_oneof![
         (0..4).prop_map(|quarter| at_angle(f64::from(quarter) * PI / 2.0)),
@@ -604,24 +603,24 @@ fn lines() -> impl Strategy<Value = SearchLine> {
     )
 }
 
-/// Lines of one length and polarity, as contours have them, more than fit side by side; and any
-/// lines among them.
+/// Lines of equal length and polarity, as in a contour, more than are processed in parallel, and
+/// arbitrary lines among them.
 fn batches() -> impl Strategy<Value = Vec<SearchLine>> {
     let near = || prop_oneof![2.0..38.0, (0..40).prop_map(f64::from)];
-    let alike = (lines(), prop::collection::vec((near(), near(), normals()), 1..40));
-    let alike = alike.prop_map(|(line, samples)| {
+    let uniform = (lines(), prop::collection::vec((near(), near(), normals()), 1..40));
+    let uniform = uniform.prop_map(|(line, samples)| {
         let samples = samples.into_iter().map(|(u, v, normal)| {
             let sample = PlacedSample { position: Point2::new(u, v), normal };
             SearchLine { sample, half_length_px: line.half_length_px.min(12.0), ..line }
         });
         samples.collect::<Vec<_>>()
     });
-    let some = prop_oneof![alike, prop::collection::vec(lines(), 1..5)];
+    let some = prop_oneof![uniform, prop::collection::vec(lines(), 1..5)];
     prop::collection::vec(some, 1..4).prop_map(|some| some.concat())
 }
 
-/// The picture's bytes, each repeated `channels` times and disturbed but for the first, in rows
-/// with `padding` bytes of anything between them.
+/// The picture's bytes, each repeated `channels` times and perturbed except the first, in rows
+/// separated by `padding` random bytes.
 fn padded(picture: &Picture, channels: usize, padding: usize, seed: u64) -> Vec<u8> {
     let mut noise = Noise::new(seed);
     let mut bytes = Vec::new();
@@ -648,13 +647,13 @@ fn any_options() -> impl Strategy<Value = SearchOptions> {
     )
 }
 
-fn check(edge: &Edge, line: &SearchLine, options: &SearchOptions, by_votes: bool) {
+fn check(edge: &Edge, line: &SearchLine, options: &SearchOptions, by_log_ratio: bool) {
     assert!(edge.offset_px.abs() <= line.half_length_px.ceil() + 0.5, "{edge:?} {line:?}");
     assert!(edge.variance_px2 > 0.0 && edge.variance_px2.is_finite(), "{edge:?}");
-    if by_votes {
+    if by_log_ratio {
         return;
     }
-    // Rounding of the answer at the threshold.
+    // Rounding of the response at the threshold.
     assert!(edge.contrast_grey.abs() >= options.min_contrast_grey * (1.0 - 1e-6), "{edge:?}");
     match line.polarity {
         Polarity::Bright => assert!(edge.contrast_grey > 0.0),
@@ -663,7 +662,7 @@ fn check(edge: &Edge, line: &SearchLine, options: &SearchOptions, by_votes: bool
     }
 }
 
-/// Offset and contrast of the edge near an offset \[px\], without any rounding.
+/// Offset and contrast of the edge near an offset \[px\], in floating point.
 fn in_floating_point(
     image: GrayView<'_>,
     line: &SearchLine,
@@ -680,13 +679,14 @@ fn in_floating_point(
     let reach = (3.0 * scale_px).ceil() as i32;
     let weight = |k: i32| f64::from(k) * (-0.5 * (f64::from(k) / scale_px).powi(2)).exp();
     let sum: f64 = (1..=reach).map(weight).sum();
-    let answer = |k: i32| -> f64 {
+    let response = |k: i32| -> f64 {
         (1..=reach).map(|i| weight(i) / sum * (grey(k - i) - grey(k + i))).sum()
     };
     let middle = near_px.round() as i32;
-    // A peak half-way between two pixels may round to the other one.
-    let at = (middle - 1..=middle + 1).max_by(|a, b| answer(*a).total_cmp(&answer(*b))).unwrap();
-    let [before, here, after] = [at - 1, at, at + 1].map(answer);
+    // A peak halfway between two pixels may be rounded to the other one.
+    let at =
+        (middle - 1..=middle + 1).max_by(|a, b| response(*a).total_cmp(&response(*b))).unwrap();
+    let [before, here, after] = [at - 1, at, at + 1].map(response);
     let offset_px = f64::from(at) + 0.5 * (before - after) / (before - 2.0 * here + after);
     [offset_px, here * scale_px.hypot(options.blur_px) / scale_px]
 }
@@ -695,7 +695,7 @@ proptest! {
     #![proptest_config(config())]
 
     #[test]
-    fn any_line_through_any_picture_has_an_answer(
+    fn any_line_through_any_picture_has_a_valid_result(
         picture in pictures(),
         lines in prop::collection::vec(lines(), 1..20),
         options in any_options(),
@@ -720,7 +720,7 @@ proptest! {
         lines in prop::collection::vec(lines(), 1..20),
         options in any_options(),
     ) {
-        // Not even where a line leaves the image: nothing is behind the border.
+        // Nor where a line leaves the image, for nothing is read beyond the border.
         let picture = Picture { width, height, bytes: vec![value; width * height] };
         for found in search_all(options, picture.view(), Cue::Edges, Scale::Fine, &lines) {
             prop_assert!(found.is_err(), "{:?}", found);
@@ -759,12 +759,12 @@ proptest! {
     }
 
     #[test]
-    fn fixed_point_keeps_to_floating_point(
+    fn fixed_point_matches_floating_point(
         (angle_rad, offset_px, contrast) in (0.0..TAU, -6.0..6.0, 20.0..180.0),
         seed in any::<u64>(),
     ) {
-        /// Steps of 1/256 and 1/128 px; and of 1/128 grey level, which are to the image's noise as
-        /// the offset's error is to what that noise does to it.
+        /// Quantisation of coordinates to 1/256 and 1/128 px. That of levels, to 1/128 grey level, has
+        /// an effect in proportion to the offset's standard deviation.
         const OFFSET_TOLERANCE_PX: f64 = 0.004;
         const OFFSET_TOLERANCE_SIGMA: f64 = 0.2;
         const CONTRAST_TOLERANCE_GREY: f64 = 0.5;

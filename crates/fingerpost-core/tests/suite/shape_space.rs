@@ -1,5 +1,5 @@
-//! Shape spaces: Jacobians against central differences, maps against their decomposition, and the
-//! band template against the bands.
+//! Shape spaces: Jacobians compared with central differences, maps with their decomposition, and
+//! the band template with the bands.
 
 use fingerpost_core::Error;
 use fingerpost_core::geometry::planar::{
@@ -18,11 +18,10 @@ use proptest::test_runner::{Config, RngSeed, TestCaseResult};
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::sync::LazyLock;
 
-/// Analytic derivatives meet central differences to this part of how far the component moves any
-/// sample.
+/// Tolerance of derivatives, relative to the largest velocity of a sample by the component.
 const JACOBIAN_TOLERANCE: f64 = 1e-6;
-/// Steps of the central differences, in a component's own unit, and their weights: the error of
-/// this pair of differences goes with the fourth power of the step.
+/// Steps of the central differences, in a component's own unit, and their weights; the error of
+/// this pair is of fourth order in the step.
 const STEPS: [(f64, f64); 2] = [(1e-4, 8.0 / 12.0), (2e-4, -1.0 / 12.0)];
 const ROUNDING: f64 = 1e-12;
 
@@ -38,7 +37,7 @@ fn pistol(side: f64) -> &'static [TemplateSample] {
     &PISTOL[usize::from(side > 0.0)]
 }
 
-/// Angles of every kind, and those where atan2 jumps or a row has a zero.
+/// Arbitrary angles, and those where atan2 jumps or a row has a zero.
 fn angles() -> impl Strategy<Value = f64> {
     prop_oneof![
         -7.0..7.0,
@@ -56,7 +55,7 @@ fn centres() -> impl Strategy<Value = Point2<f64>> {
     (coordinate(), coordinate()).prop_map(|(u, v)| Point2::new(u, v))
 }
 
-/// What a decomposed map is made from.
+/// The parts of a decomposed map.
 #[derive(Debug, Clone, Copy)]
 struct Parts {
     centre: Point2<f64>,
@@ -74,7 +73,7 @@ impl Parts {
     }
 }
 
-/// Tiny fingers and fingers larger than the image; shears up to a thumb that lies on the finger.
+/// Fingers from tiny to larger than the image; shears up to a thumb that lies on the finger.
 fn parts() -> impl Strategy<Value = Parts> {
     let scale = || prop_oneof![Just(0.5), 0.5..2.0, 20.0..400.0];
     let lean = prop_oneof![Just(0.0), -1.0..1.0, Just(30.0), Just(-30.0)];
@@ -114,7 +113,7 @@ fn turn(a: &Axis, b: &Axis) -> f64 {
     a.direction().perp(&b.direction()).atan2(a.direction().dot(&b.direction()))
 }
 
-/// The derivative by component `i` of what `change` says lies between two poses.
+/// The derivative of `change` between two poses with respect to component `i`.
 fn central_difference<S: ShapeSpace<D>, const D: usize, V>(
     space: &S,
     x: &SVector<f64, D>,
@@ -135,7 +134,7 @@ where
     near + far
 }
 
-/// Every row that the space makes, and the Jacobian of the axis, against central differences.
+/// Compares all rows and the Jacobian of the axis with central differences.
 fn check_jacobians<S: ShapeSpace<D>, const D: usize>(
     space: &S,
     x: &SVector<f64, D>,
@@ -179,7 +178,7 @@ fn check_jacobians<S: ShapeSpace<D>, const D: usize>(
     Ok(())
 }
 
-/// A shape vector of `S` near or far from the map that its frozen size comes from.
+/// A space `S` with the frozen size of one map, and a shape vector near or far from it.
 fn member<S: PlanarSpace<D>, const D: usize>(
     frozen: &Parts,
     at: &Parts,
@@ -201,7 +200,7 @@ fn check_planar<S: PlanarSpace<D>, const D: usize>(
     let (space, x) = member::<S, D>(frozen, at, scale);
     check_jacobians(&space, &x, pistol(1.0))?;
 
-    // In a plane the row holds for any direction, not the normal alone.
+    // In a planar space the row is valid for any direction, not only the normal.
     let (pose, direction) = (space.pose(&x), Vector2::new(0.6, -0.8));
     for sample in pistol(1.0) {
         let row = space.normal_row(&pose, sample, &direction);
@@ -211,7 +210,7 @@ fn check_planar<S: PlanarSpace<D>, const D: usize>(
         prop_assert!((row - sum).norm() <= ROUNDING * (along_u.norm() + along_v.norm()));
     }
 
-    // Through a map and back.
+    // Round trip through a map.
     let map = at.map();
     let (space, x) = S::through(&map).unwrap();
     let again = space.pose(&x);
@@ -300,7 +299,7 @@ proptest! {
     }
 
     #[test]
-    fn the_shear_leaves_axis_and_flanks_where_they_are(parts in parts(), lean in -3.0..3.0_f64) {
+    fn the_shear_preserves_axis_and_flanks(parts in parts(), lean in -3.0..3.0_f64) {
         let (space, mut x) = RigidShear::through(&parts.map()).unwrap();
         let upright = space.pose(&x);
         x[3] += lean * parts.beta;
@@ -317,7 +316,7 @@ proptest! {
                 prop_assert!((at(&leaning) - q * parts.beta).abs() < 1e-9 * size);
             }
         }
-        // The thumb does lean: along the finger, in proportion to its distance.
+        // The shear moves the thumb along the finger, in proportion to its distance from the axis.
         let thumb = Point2::new(-0.3, 0.7);
         let moved: Vector2<f64> = leaning.transform(&thumb) - upright.transform(&thumb);
         let expected = axis.direction() * (0.7 * lean * parts.beta);
@@ -325,7 +324,7 @@ proptest! {
     }
 
     #[test]
-    fn planar_normals_are_unit_outward_and_across_the_contour(parts in parts(), side in prop_oneof![Just(-1.0), Just(1.0)]) {
+    fn planar_normals_are_unit_outward_and_perpendicular_to_the_contour(parts in parts(), side in prop_oneof![Just(-1.0), Just(1.0)]) {
         let map = parts.map();
         let back = map.linear.try_inverse().unwrap();
         for s in pistol(side) {
@@ -333,7 +332,7 @@ proptest! {
             prop_assert_eq!(placed.position, map.transform(&s.position));
             prop_assert!((placed.normal.norm() - 1.0).abs() < ROUNDING);
             let tangent = (map.linear * Vector2::new(-s.normal.y, s.normal.x)).normalize();
-            // A thumb that lies on the finger costs digits.
+            // A thumb that lies on the finger makes the map ill-conditioned.
             let condition = map.linear.norm() * back.norm();
             prop_assert!(placed.normal.dot(&tangent).abs() < ROUNDING * condition);
             prop_assert!((back * placed.normal).dot(&s.normal) > 0.0);
@@ -351,12 +350,12 @@ proptest! {
     }
 
     #[test]
-    fn band_normals_are_unit_and_out_of_their_limb((full, measure) in ribbons()) {
+    fn band_normals_are_unit_and_outward((full, measure) in ribbons()) {
         let pose = Ribbon::<RIBBON_DOF>::about(&full, &measure).unwrap().pose(&full);
         for s in pistol(measure.side) {
             let placed = pose.place(s);
             prop_assert!((placed.normal.norm() - 1.0).abs() < ROUNDING);
-            // From the point of the spine it stands on, at that spine's half-width.
+            // The sample is at one half-width from its point on the spine.
             let (spine, half_width) = spine_point(&full, measure.length_px, s);
             let expected = spine + placed.normal * half_width;
             prop_assert!((placed.position - expected).norm() < 1e-9 * (1.0 + expected.coords.norm()));
@@ -364,7 +363,7 @@ proptest! {
     }
 
     #[test]
-    fn the_axis_of_a_finger_is_the_same_whatever_turns_led_there(
+    fn the_axis_is_independent_of_full_rotations(
         anchor in centres(), angle_rad in angles(), turns in -3..4_i32, ahead_px in 1.0..500.0,
     ) {
         let axis = Axis::of_finger(anchor, angle_rad, ahead_px);
@@ -378,7 +377,7 @@ proptest! {
     }
 
     #[test]
-    fn upright_puts_the_tip_where_it_is_asked_for(tip in centres(), angle_rad in angles(), length_px in 0.5..500.0) {
+    fn upright_maps_place_the_tip_at_the_given_point(tip in centres(), angle_rad in angles(), length_px in 0.5..500.0) {
         let axis = AffineMap::upright(tip, angle_rad, length_px).unwrap().axis();
         prop_assert!((axis.tip - tip).norm() < 1e-9);
         prop_assert!((axis.direction() - Vector2::new(angle_rad.cos(), angle_rad.sin())).norm() < ROUNDING);
@@ -386,7 +385,7 @@ proptest! {
     }
 }
 
-/// Where on a spine a sample of the band template stands, and how wide the limb is there.
+/// A sample's point on the spine of its limb, and the half-width there.
 fn spine_point(x: &RibbonVector, length_px: f64, s: &TemplateSample) -> (Point2<f64>, f64) {
     let e = Vector2::new(x[2].cos(), x[2].sin());
     let centre = Point2::new(x[0], x[1]);
@@ -413,7 +412,7 @@ fn ribbon_at_rest(
 
 #[test]
 fn the_undeformed_band_template_is_the_pistol() {
-    // To what the pistol's spline keeps to its bands, in finger lengths.
+    // Deviation of the pistol's spline from its bands, in finger lengths.
     const OUTLINE_TOLERANCE: f64 = 0.002;
     let length_px = 90.0;
     let map = AffineMap::upright(Point2::new(200.0, 150.0), 2.1, length_px).unwrap();
@@ -433,8 +432,8 @@ fn the_undeformed_band_template_is_the_pistol() {
 }
 
 #[test]
-fn band_normals_are_across_the_contour_of_an_untapered_hand() {
-    // The chord between the neighbours of a sample, where a flank goes over into a round tip.
+fn band_normals_are_perpendicular_to_the_contour_of_an_untapered_hand() {
+    // Direction error of the chord between a sample's neighbours at the start of a round tip.
     const CHORD_TOLERANCE: f64 = 0.02;
     let map = AffineMap::upright(Point2::new(200.0, 150.0), -0.7, 90.0).unwrap();
     for thumb in [Thumb::Left, Thumb::Right, Thumb::None] {
@@ -454,7 +453,7 @@ fn samples_inside_the_other_limb_are_hidden() {
     let map = AffineMap::upright(Point2::new(150.0, 100.0), 0.0, 100.0).unwrap();
     for (thumb, side) in [(Thumb::Left, -1.0), (Thumb::Right, 1.0)] {
         let (mut x, _, samples) = ribbon_at_rest(thumb, &map);
-        // A thumb straight across, its root in the middle of the finger.
+        // A perpendicular thumb with its root in the middle of the finger.
         let (root, w, w2) = (10.0, 20.0, x[8]);
         (x[3], x[5], x[6], x[7]) = (w, root, 0.0, side * 70.0);
         let measure = BandMeasure { length_px: 100.0, round_end_px: 30.0, side };
@@ -502,7 +501,7 @@ fn a_map_that_mirrors_or_flattens_is_refused() {
     let refused = |linear: Matrix2<f64>| {
         let map = map(linear);
         let error = map.decompose().unwrap_err();
-        // No space goes through it.
+        // Nor is there a space through it.
         assert!(Translation::through(&map).is_err() && Rigid::through(&map).is_err());
         assert!(RigidShear::through(&map).is_err() && Similarity::through(&map).is_err());
         assert!(SimilarityShear::through(&map).is_err() && Affine::through(&map).is_err());
@@ -533,7 +532,7 @@ fn a_map_that_mirrors_or_flattens_is_refused() {
 }
 
 #[test]
-fn a_start_that_is_no_number_is_refused() {
+fn a_non_finite_start_is_refused() {
     let upright = |u, v, angle, length| {
         AffineMap::upright(Point2::new(u, v), angle, length).unwrap_err().to_string()
     };
@@ -548,7 +547,7 @@ fn a_start_that_is_no_number_is_refused() {
 }
 
 #[test]
-fn a_band_template_without_numbers_is_refused() {
+fn a_non_finite_band_template_is_refused() {
     let proportions = Proportions::usual(Thumb::Left);
     let hand = ribbon_of(&proportions, &AffineMap::upright(Point2::origin(), 0.0, 50.0).unwrap());
     let measure = BandMeasure::of(&proportions, 50.0);

@@ -1,5 +1,4 @@
-//! The pistol against the bands that it is made of, and traced outlines against the pose they come
-//! from.
+//! The pistol compared with its bands, and traced outlines in several poses.
 
 use fingerpost_core::Error;
 use fingerpost_core::geometry::bspline::{BSpline, Degree};
@@ -14,9 +13,9 @@ use fingerpost_core::nalgebra::{Point2, SVector, Similarity2, Vector2};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
 
-/// How far the spline may stray from the exact outline of the usual hand, in finger lengths.
+/// Greatest deviation of the spline from the exact outline of the usual hand, in finger lengths.
 const OUTLINE_TOLERANCE: f64 = 0.002;
-/// Enough samples to see every bulge between two knots.
+/// Enough samples to resolve the curve between two knots.
 const DENSE: usize = 1500;
 const ROUNDING: f64 = 1e-9;
 const THUMBS: [Thumb; 3] = [Thumb::Left, Thumb::Right, Thumb::None];
@@ -30,7 +29,7 @@ fn config() -> Config {
     }
 }
 
-/// A limb as it is meant: the points at `half_width` from a spine.
+/// An exact limb: the points at `half_width` from a spine.
 struct Band {
     from: Point2<f64>,
     to: Point2<f64>,
@@ -57,7 +56,7 @@ impl Band {
         (self.to - self.from).normalize()
     }
 
-    /// From the nearest point of the spine.
+    /// Vector from the nearest point of the spine.
     fn radius(&self, at: &Point2<f64>) -> Vector2<f64> {
         let spine = self.to - self.from;
         let part = (at - self.from).dot(&spine) / spine.norm_squared();
@@ -94,7 +93,7 @@ fn the_outline_follows_finger_and_thumb() {
         for s in template.samples(DENSE).unwrap() {
             let band = band(&template, s.limb);
             assert!(band.deviation(&s.position) < OUTLINE_TOLERANCE, "{thumb:?} {s:?}");
-            // On the limb's outer side, so that the hand is behind the contour.
+            // On the limb's outer side, with the hand behind the contour.
             let out = band.radius(&s.position).normalize();
             assert!(s.normal.dot(&out) > 0.97, "{thumb:?} {s:?}");
         }
@@ -102,7 +101,7 @@ fn the_outline_follows_finger_and_thumb() {
 }
 
 #[test]
-fn it_begins_and_ends_where_the_proportions_say() {
+fn it_begins_and_ends_at_the_given_proportions() {
     for thumb in THUMBS {
         let template = Template::pistol(thumb).unwrap();
         let Proportions { half_width, flank_start, thumb: proportions } =
@@ -132,7 +131,7 @@ fn the_axis_is_the_basis_vector_of_p() {
         let apex = finger.iter().map(|s| s.position.x).fold(f64::MIN, f64::max);
         assert!((apex - HALF_LENGTH).abs() < OUTLINE_TOLERANCE);
         for side in [-1.0, 1.0] {
-            // Straight flanks, parallel to p on either side of it.
+            // Straight flanks parallel to p on both sides.
             let flank: Vec<_> = finger
                 .iter()
                 .filter(|s| s.position.y * side > 0.5 * half_width && s.position.x < 0.3)
@@ -158,7 +157,8 @@ fn left_is_the_mirror_of_right() {
         assert!((mirror(&l.normal) - r.normal).norm() < ROUNDING);
         assert_eq!(l.limb, r.limb);
         assert!((l.along - r.along).abs() < ROUNDING);
-        // Across the finger is q, which the mirror turns; across the thumb is towards the tip.
+        // The mirror reverses q, the lateral axis of the finger; that of the thumb is towards the
+        // tip.
         let across = if l.limb == Limb::Finger { mirror(&l.radial) } else { l.radial };
         assert!((across - r.radial).norm() < ROUNDING);
     }
@@ -169,7 +169,7 @@ fn left_is_the_mirror_of_right() {
 }
 
 #[test]
-fn the_thumb_is_on_the_side_that_it_is_named_for() {
+fn the_thumb_is_on_its_named_side() {
     // Pointing right in the image, u right and v down, left of the finger is up: q is negative.
     for (thumb, side) in [(Thumb::Left, -1.0), (Thumb::Right, 1.0)] {
         let samples = Template::pistol(thumb).unwrap().samples(200).unwrap();
@@ -195,14 +195,14 @@ fn the_crotch_is_a_corner_where_the_flanks_meet() {
         let thumb = thumb.unwrap();
         assert!(finger.deviation(&after.position) < OUTLINE_TOLERANCE);
         assert!(thumb.deviation(&after.position) < OUTLINE_TOLERANCE);
-        // It comes down the finger and leaves up the thumb.
+        // The contour arrives down the finger and leaves up the thumb.
         assert!(before.first_derivative.normalize().x < -0.99);
         assert!(after.first_derivative.normalize().dot(&thumb.along()) > 0.99);
     }
 }
 
 #[test]
-fn the_limbs_change_once_and_a_finger_alone_has_one() {
+fn the_limb_changes_once_and_never_on_a_finger_alone() {
     for thumb in [Thumb::Left, Thumb::Right] {
         let samples = Template::pistol(thumb).unwrap().samples(100).unwrap();
         let changes = samples.windows(2).filter(|pair| pair[0].limb != pair[1].limb).count();
@@ -221,7 +221,7 @@ fn every_sample_belongs_to_the_part_it_lies_on() {
         let round_end = HALF_LENGTH - half_width;
         let samples = template.samples(200).unwrap();
         for s in &samples {
-            // Where the round end turns by more than a third of a right angle from the flank.
+            // The tip starts where the normal is more than 30° from that of the flank.
             let is_tip = s.position.x > round_end + 0.5 * half_width + OUTLINE_TOLERANCE;
             let is_flank = s.position.x < round_end + 0.5 * half_width - OUTLINE_TOLERANCE;
             match s.part() {
@@ -238,7 +238,7 @@ fn every_sample_belongs_to_the_part_it_lies_on() {
     }
 }
 
-/// A sample put together again from its place on the limb's spine and its radial.
+/// A sample's position reconstructed from its place on the limb's spine and its radial.
 fn from_limb(template: &Template, s: &TemplateSample) -> Point2<f64> {
     let Proportions { half_width, thumb, .. } = *template.proportions().unwrap();
     match (s.limb, thumb) {
@@ -255,7 +255,7 @@ fn from_limb(template: &Template, s: &TemplateSample) -> Point2<f64> {
 }
 
 #[test]
-fn samples_come_together_from_their_place_on_a_limb() {
+fn samples_are_reconstructed_from_their_place_on_a_limb() {
     for thumb in THUMBS {
         let template = Template::pistol(thumb).unwrap();
         for s in template.samples(DENSE).unwrap() {
@@ -266,7 +266,7 @@ fn samples_come_together_from_their_place_on_a_limb() {
     }
 }
 
-/// Pistols of every size and kind, as far as the thumb leaves a crotch.
+/// Pistols of all proportions whose thumb leaves a crotch.
 fn proportions() -> impl Strategy<Value = Proportions> {
     let side = prop_oneof![Just(HandSide::Left), Just(HandSide::Right)];
     let thumb = (-1.0..0.0, 0.5..2.0, 0.3..2.0, 0.08..0.2, 0.0..1.0).prop_map(
@@ -288,7 +288,7 @@ proptest! {
 
     #[test]
     fn any_pistol_follows_its_bands(proportions in proportions()) {
-        /// Where the tips are slimmer than usual they get fewer knots.
+        /// Tips that are slimmer than usual have fewer knots.
         const TOLERANCE: f64 = 0.004;
         let template = Template::with_proportions(&proportions).unwrap();
         prop_assert_eq!(template.proportions(), Some(&proportions));
@@ -299,12 +299,12 @@ proptest! {
     }
 
     #[test]
-    fn fitting_to_its_own_shape_vector_gives_the_pistol_back(
+    fn fitting_to_its_own_shape_vector_reproduces_the_pistol(
         hand in proportions(),
         waiting in proportions(),
         (u, v, angle_rad, length_px) in (-1e3..1e3, -1e3..1e3, -4.0..4.0, 5.0..500.0),
     ) {
-        // Moulding keeps what it cannot know: the side, and how much of the flanks is followed.
+        // A fit keeps the side and the extent of the flanks, which it cannot determine.
         let thumb = match (hand.thumb, waiting.thumb) {
             (Some((_, thumb)), Some((side, own))) => {
                 Some((side, ThumbProportions { far_flank: own.far_flank, ..thumb }))
@@ -314,8 +314,8 @@ proptest! {
         let expected = Proportions { flank_start: waiting.flank_start, thumb, ..hand };
         let map = AffineMap::upright(Point2::new(u, v), angle_rad, length_px).unwrap();
         let (x, waiting) = (ribbon_of(&expected, &map), Template::with_proportions(&waiting));
-        let moulded = waiting.unwrap().fitted(&x, length_px, hand.thumb.is_some()).unwrap();
-        let found = moulded.proportions().unwrap();
+        let fitted = waiting.unwrap().fitted(&x, length_px, hand.thumb.is_some()).unwrap();
+        let found = fitted.proportions().unwrap();
         prop_assert!((found.half_width - expected.half_width).abs() < ROUNDING);
         prop_assert_eq!(found.flank_start, expected.flank_start);
         prop_assert_eq!(found.thumb.is_some(), expected.thumb.is_some());
@@ -370,7 +370,7 @@ fn a_traced_outline_keeps_its_shape_and_its_axis() {
     for s in template.samples(200).unwrap() {
         assert!(finger.deviation(&s.position) < 2.0 * OUTLINE_TOLERANCE, "{s:?}");
         assert!(s.normal.dot(&finger.radius(&s.position)) > 0.0, "{s:?}");
-        // All of it counts as finger, its spine the axis.
+        // The whole outline counts as finger, with the axis as its spine.
         assert_eq!((s.limb, s.along, s.radial), (Limb::Finger, s.position.x, s.normal));
     }
     let unfitted = template.fitted(&SVector::zeros(), 100.0, true);
@@ -454,7 +454,7 @@ fn every_proportion_has_its_range() {
             let error = error_at(x).expect(what);
             assert!(matches!(error, Error::NotFinite { what: w, .. } if w == what), "{error}");
         }
-        // The range's own ends may still leave no crotch, but they are in it.
+        // The limits belong to the range, though they may leave no crotch.
         for x in [low, high] {
             let error = error_at(x);
             assert!(!matches!(&error, Some(Error::OutOfRange { what: w, .. }) if *w == what));
@@ -482,7 +482,7 @@ fn a_thumb_that_leaves_no_crotch_is_refused() {
 
 #[test]
 fn a_thumb_without_a_spine_is_refused() {
-    // No longer than its round end, it would have no direction, and its samples no place.
+    // A thumb no longer than its round end would have no direction.
     for length in [0.4, 0.35] {
         let mut proportions = Proportions::usual(Thumb::Right);
         proportions.half_width = 0.03;

@@ -1,4 +1,4 @@
-//! The tracker on rendered hands that move as we say.
+//! The tracker on rendered hands with known motion.
 
 use crate::common::{BentFinger, Canvas, Hand, Noise, Picture, Shape, covered_part};
 use fingerpost_core::geometry::planar::AffineMap;
@@ -43,12 +43,12 @@ fn config(cases: u32) -> Config {
     }
 }
 
-/// A bright hand: looking for nothing else saves the tests two thirds of their time.
+/// Options for a bright hand; one polarity saves two thirds of the tests' time.
 fn options(model: Model) -> TrackerOptions {
     TrackerOptions { model, polarity: Polarity::Bright, ..TrackerOptions::default() }
 }
 
-/// How far a hand may go from frame to frame while a template that waits reaches 20 px.
+/// Step of a fast hand between frames; a waiting template reaches 20 px.
 const FAST_PX: f64 = 26.0;
 const START: StartPose =
     StartPose { tip_px: Point2::new(130.0, 60.0), angle_rad: -0.5, length_px: LENGTH_PX };
@@ -57,12 +57,12 @@ fn tracker(model: Model, thumb: Thumb) -> ContourTracker {
     ContourTracker::new(Template::pistol(thumb).unwrap(), &START, options(model)).unwrap()
 }
 
-/// The hand held up to the template, as an operator can: a few pixels and degrees off.
+/// A hand held up to the template with an operator's accuracy: a few pixels and degrees off.
 fn held_up(thumb: Thumb) -> Hand {
     Hand::usual(thumb, START.tip_px + Vector2::new(2.5, -2.0), START.angle_rad + 0.05, LENGTH_PX)
 }
 
-/// Where the hand is in frame `k`: it sways and turns by up to 2.3 px and 1.9° a frame.
+/// The hand in frame `k`, swaying by up to 2.3 px and 1.9° per frame.
 fn swaying(thumb: Thumb, k: usize) -> Hand {
     let at = k as f64;
     let tip = START.tip_px + Vector2::new(16.0 * (0.14 * at).sin(), 14.0 * (0.11 * at).sin());
@@ -83,7 +83,7 @@ fn update(tracker: &mut ContourTracker, picture: &Picture, time_s: f64) -> Track
     tracker.update(&picture.view().into(), time_s).unwrap()
 }
 
-/// Shows the tracker a still hand until it tracks; the time of the next frame.
+/// Shows the tracker a still hand until it tracks; returns the time of the next frame.
 fn acquire(tracker: &mut ContourTracker, hand: &Hand, noise: &mut Noise) -> f64 {
     for k in 0..6 {
         let time_s = f64::from(k) * FRAME_S;
@@ -100,7 +100,7 @@ fn turn(a: f64, b: f64) -> f64 {
     sin.atan2(cos)
 }
 
-/// How far a finger line is off.
+/// Error of a finger line.
 #[derive(Debug, Clone, Copy)]
 struct LineError {
     tip_px: f64,
@@ -118,21 +118,21 @@ impl LineError {
         }
     }
 
-    /// Squared error in units of the line's covariance; 2 on average if that is honest.
+    /// Squared error in units of the line's covariance, 2 on average if that is consistent.
     fn squared_mahalanobis(&self, line: &FingerLine) -> f64 {
         let e = Vector2::new(self.offset_px, self.angle_rad);
         e.dot(&(line.covariance.try_inverse().unwrap() * e))
     }
 }
 
-/// Mean squared error of the line in units of its covariance, 2 for one that says exactly what it
-/// knows: neither so much less that it misleads, nor so much more that it is of no use.
-const HONEST: std::ops::Range<f64> = 0.4..6.0;
+/// Mean squared error of a line in units of its covariance, 2 if that is exact: the covariance is
+/// neither much too small nor uselessly large.
+const CONSISTENT: std::ops::Range<f64> = 0.4..6.0;
 
 #[test]
 fn a_known_motion_is_followed() {
-    // Root mean squares over the path, in the order of the models. The bound of physics at this
-    // contrast and noise is 0.006 px and 0.0003 rad; the contour takes 100 of 280 px of it.
+    // Root mean squares over the path, in the order of the models. The theoretical bound at this
+    // contrast and noise is 0.006 px and 0.0003 rad; the contour samples 100 of its 280 px.
     const OFFSET_RMS_PX: [f64; 2] = [0.03, 0.04];
     const ANGLE_RMS_RAD: [f64; 2] = [0.0015, 0.003];
     const TIP_RMS_PX: [f64; 2] = [0.2, 0.2];
@@ -163,18 +163,22 @@ fn a_known_motion_is_followed() {
             let what = format!("{model:?} {thumb:?}: {offset} px, {angle} rad, tip {tip} px");
             assert!(offset < OFFSET_RMS_PX[m] && angle < ANGLE_RMS_RAD[m], "{what}");
             assert!(tip < TIP_RMS_PX[m], "{what}");
-            assert!(HONEST.contains(&(ratio * ratio)), "{} instead of 2: {what}", ratio * ratio);
+            assert!(
+                CONSISTENT.contains(&(ratio * ratio)),
+                "{} instead of 2: {what}",
+                ratio * ratio
+            );
         }
     }
 }
 
-/// The longest of the last search's lines \[px\].
+/// Half-length of the longest line of the last search \[px\].
 fn longest_px(tracker: &ContourTracker) -> f64 {
     tracker.search_lines().map(|s| s.line.half_length_px).fold(0.0, f64::max)
 }
 
 #[test]
-fn a_hand_in_its_place_is_searched_no_further_than_its_edges_and_a_thumb_that_leans_is() {
+fn search_lines_are_short_for_a_still_hand_and_longer_for_a_leaning_thumb() {
     let (mut tracker, mut noise) = (tracker(Model::Paper, Thumb::Right), Noise::new(0x6c65_616e));
     let mut hand = held_up(Thumb::Right);
     let mut time_s = acquire(&mut tracker, &hand, &mut noise);
@@ -183,7 +187,7 @@ fn a_hand_in_its_place_is_searched_no_further_than_its_edges_and_a_thumb_that_le
         assert_eq!((track.status, longest_px(&tracker)), (Status::Tracking, 5.0));
         time_s += FRAME_S;
     }
-    // The thumb's end goes to and fro by 8 px at once, the finger stays.
+    // The end of the thumb jumps to and fro by 8 px; the finger is at rest.
     let thumb_rad = hand.thumb.as_ref().unwrap().angle_rad;
     let mut shears_px = [0.0; 2];
     for k in 0..6 {
@@ -205,8 +209,8 @@ fn a_hand_in_its_place_is_searched_no_further_than_its_edges_and_a_thumb_that_le
 }
 
 #[test]
-fn the_covariance_of_a_hand_at_rest_is_honest() {
-    // Nothing changes but the noise: every frame's line has to be as far off as it says.
+fn the_covariance_of_a_hand_at_rest_is_consistent() {
+    // Only the noise changes, so the errors must match the covariance.
     for model in MODELS {
         for thumb in [Thumb::Left, Thumb::None] {
             let hand = held_up(thumb);
@@ -221,14 +225,14 @@ fn the_covariance_of_a_hand_at_rest_is_honest() {
                 .collect();
             let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
             let what = format!("{mean} instead of 2 for {model:?}, {thumb:?}");
-            assert!(ratios.len() > 30 && HONEST.contains(&mean), "{what}");
+            assert!(ratios.len() > 30 && CONSISTENT.contains(&mean), "{what}");
         }
     }
 }
 
 #[test]
-fn a_hand_unlike_the_template_is_moulded() {
-    // Stouter, with a taper, its thumb shorter, thinner and further off.
+fn the_template_is_fitted_to_a_different_hand() {
+    // Wider and tapered, with a thumb that is shorter, thinner and at a larger angle.
     for thumb in THUMBS {
         let mut hand = held_up(thumb);
         hand.half_width_px *= 1.25;
@@ -253,7 +257,7 @@ fn a_hand_unlike_the_template_is_moulded() {
 }
 
 #[test]
-fn it_settles_after_as_many_accepted_frames_as_asked() {
+fn it_settles_after_the_configured_number_of_accepted_frames() {
     for model in MODELS {
         for settle_frames in [1, 2, 4] {
             let options = options(model);
@@ -288,7 +292,7 @@ fn the_hand_may_move_while_it_settles() {
 }
 
 #[test]
-fn a_frame_without_the_hand_starts_settling_anew() {
+fn a_frame_without_the_hand_restarts_the_settling() {
     for model in MODELS {
         let mut tracker = tracker(model, Thumb::None);
         let (hand, mut noise) = (held_up(Thumb::None), Noise::new(0x616e_6577));
@@ -307,7 +311,7 @@ fn a_frame_without_the_hand_starts_settling_anew() {
 }
 
 #[test]
-fn a_hand_of_another_size_is_not_the_one_waited_for() {
+fn a_hand_of_another_size_is_not_acquired() {
     for factor in [0.4, 2.6] {
         let mut hand = held_up(Thumb::None);
         hand.half_width_px *= factor;
@@ -348,10 +352,10 @@ fn it_waits_at_the_start_pose() {
             let samples = tracker.template().samples(tracker.options().samples).unwrap();
             let (contour, expected): (_, Vec<PlacedSample>) =
                 (tracker.contour(), samples.iter().map(|s| map.place(s)).collect());
-            // The crotch's nearest samples may count as hidden by the other limb.
+            // Samples next to the crotch may count as hidden by the other limb.
             assert!((expected.len() - 4..=expected.len()).contains(&contour.len()));
             for placed in contour {
-                // To what the template's spline keeps to its bands.
+                // Within the deviation of the template's spline from its bands.
                 let near = |e: &PlacedSample| (e.position - placed.position).norm() < 0.2;
                 assert!(expected.iter().any(near), "{model:?} {thumb:?} {placed:?}");
             }
@@ -359,7 +363,7 @@ fn it_waits_at_the_start_pose() {
     }
 }
 
-/// Frames without the hand, until the tracker says it is lost.
+/// Shows frames without the hand until the tracker is lost.
 fn lose(tracker: &mut ContourTracker, time_s: &mut f64, noise: &mut Noise) {
     let lose_after = tracker.options().track.lose_after_frames;
     for missed in 1..=lose_after {
@@ -373,7 +377,7 @@ fn lose(tracker: &mut ContourTracker, time_s: &mut f64, noise: &mut Noise) {
 }
 
 #[test]
-fn a_hand_that_vanishes_is_lost_in_time_and_found_again() {
+fn a_vanished_hand_is_lost_in_time_and_found_again() {
     for model in MODELS {
         for (thumb, lose_after_frames) in [(Thumb::Right, 1), (Thumb::None, 3)] {
             let options = options(model);
@@ -389,7 +393,7 @@ fn a_hand_that_vanishes_is_lost_in_time_and_found_again() {
                 time_s += FRAME_S;
                 assert_eq!((track.status, track.finger_line), (Status::Lost, None));
             }
-            // Until a fit settles again, there is no line.
+            // There is no line until a fit has settled again.
             let mut back = false;
             for _ in 0..5 {
                 let track = update(&mut tracker, &picture(&hand, &mut noise), time_s);
@@ -408,13 +412,13 @@ fn a_hand_that_vanishes_is_lost_in_time_and_found_again() {
 }
 
 #[test]
-fn a_lost_hand_is_found_where_it_last_was_and_where_the_template_waits() {
+fn a_lost_hand_is_found_at_its_last_place_and_at_the_template() {
     for model in MODELS {
         let thumb = Thumb::Left;
         let mut tracker = tracker(model, thumb);
         let (first, mut noise) = (held_up(thumb), Noise::new(0x7768_6572));
         let mut time_s = acquire(&mut tracker, &first, &mut noise);
-        // It goes 45 px away from where the template waits, and vanishes there.
+        // The hand moves 45 px away from the waiting template and vanishes there.
         let (mut hand, mut names) = (first, None);
         for _ in 0..15 {
             hand.tip_px += Vector2::new(2.0, 2.236);
@@ -444,12 +448,12 @@ fn a_lost_hand_is_found_where_it_last_was_and_where_the_template_waits() {
 }
 
 #[test]
-fn a_hand_that_hides_its_thumb_is_followed_by_its_finger() {
+fn a_hand_with_a_hidden_thumb_is_followed_by_its_finger() {
     for (model, names) in [(Model::Ribbon, 5), (Model::Paper, 3)] {
         let (mut tracker, mut noise) = (tracker(model, Thumb::Left), Noise::new(0x7468_756d));
         let hand = held_up(Thumb::None);
         let mut time_s = acquire(&mut tracker, &hand, &mut noise);
-        // From the start, and when it is found again.
+        // At the start and after a loss.
         for _ in 0..2 {
             let mut track = None;
             for _ in 0..4 {
@@ -466,7 +470,7 @@ fn a_hand_that_hides_its_thumb_is_followed_by_its_finger() {
 }
 
 #[test]
-fn a_thumb_that_is_folded_in_is_left_out_after_a_while() {
+fn a_folded_thumb_is_left_out_after_a_while() {
     let (mut tracker, mut noise) = (tracker(Model::Ribbon, Thumb::Left), Noise::new(0x666f_6c64));
     let mut time_s = acquire(&mut tracker, &held_up(Thumb::Left), &mut noise);
     let track = update(&mut tracker, &picture(&held_up(Thumb::Left), &mut noise), time_s);
@@ -480,14 +484,14 @@ fn a_thumb_that_is_folded_in_is_left_out_after_a_while() {
         let error = LineError::of(&track.finger_line.expect("the finger is there"), &folded);
         assert!(error.offset_px.abs() < 0.15 && error.angle_rad.abs() < 0.01, "{k}: {error:?}");
         assert_eq!(track.shape.unwrap().names.len(), 5, "{k}");
-        // It may come back at once, but is not waited for for ever.
+        // The thumb is searched for a limited time, in case it returns.
         let out = k + 1 >= patience;
         assert_eq!(tracker.contour().len() < with_thumb, out, "{k}");
     }
 }
 
 #[test]
-fn a_hand_that_hides_for_a_moment_is_tracked_on() {
+fn a_briefly_hidden_hand_is_tracked_on() {
     for model in MODELS {
         let (mut tracker, mut noise) = (tracker(model, Thumb::Left), Noise::new(0x6869_6465));
         let hand = held_up(Thumb::Left);
@@ -502,7 +506,7 @@ fn a_hand_that_hides_for_a_moment_is_tracked_on() {
     }
 }
 
-/// A resting hand is seen in every frame, whatever the time between them.
+/// Asserts that a resting hand is tracked at any frame intervals.
 fn check_gaps(gaps_s: &[f64]) {
     for model in MODELS {
         let (mut tracker, mut noise) = (tracker(model, Thumb::Left), Noise::new(0x7061_7573));
@@ -519,17 +523,17 @@ fn check_gaps(gaps_s: &[f64]) {
 }
 
 #[test]
-fn a_pause_does_not_throw_a_resting_hand_away() {
+fn a_pause_does_not_lose_a_resting_hand() {
     check_gaps(&[FRAME_S, 2.0, FRAME_S, FRAME_S, 60.0, FRAME_S, 3600.0]);
 }
 
 #[test]
-fn frames_at_almost_the_same_time_do_not_throw_a_resting_hand_away() {
-    // As drivers deliver them after a hiccup.
+fn frames_at_nearly_equal_times_do_not_lose_a_resting_hand() {
+    // As drivers deliver frames after a delay.
     check_gaps(&[FRAME_S, 1e-6, FRAME_S, 0.0, FRAME_S, 1e-9, FRAME_S]);
 }
 
-/// A table strewn with bars, some of them finger-wide, none as bright as the hand.
+/// A table cluttered with bars, some as wide as a finger, none as bright as the hand.
 fn strewn(hand: &Hand, noise: &mut Noise) -> Picture {
     let mut canvas = Canvas::new(320, 200, BACKGROUND);
     let mut random = Noise::new(0x7374_7265);
@@ -543,8 +547,8 @@ fn strewn(hand: &Hand, noise: &mut Noise) -> Picture {
 }
 
 #[test]
-fn a_hand_that_turns_round_in_full_motion_is_followed() {
-    // 22 px a frame and 0.1 rad at the turns: where it was expected it is 44 px away.
+fn a_hand_that_reverses_at_full_speed_is_followed() {
+    // 22 px and 0.1 rad per frame; at a reversal the hand is 44 px from its prediction.
     for model in MODELS {
         for thumb in [Thumb::Left, Thumb::None] {
             let at = |k: usize| {
@@ -573,7 +577,7 @@ fn a_hand_that_turns_round_in_full_motion_is_followed() {
 }
 
 #[test]
-fn a_jump_surprises_and_a_steady_motion_does_not() {
+fn the_innovation_is_large_for_a_jump_and_small_for_uniform_motion() {
     let beyond = fingerpost_core::solve::dynamics::chi_square_quantile(0.9999, 3).unwrap();
     for model in MODELS {
         let (mut tracker, mut noise) = (tracker(model, Thumb::None), Noise::new(0x6a75_6d70));
@@ -586,21 +590,21 @@ fn a_jump_surprises_and_a_steady_motion_does_not() {
             assert!(track.finger_line.is_some());
             track.diagnostics.innovation
         };
-        let steady = Vector2::new(-3.0, 2.0);
+        let velocity = Vector2::new(-3.0, 2.0);
         for k in 1..8 {
-            let innovation = step(steady * f64::from(k), 0.0).unwrap();
+            let innovation = step(velocity * f64::from(k), 0.0).unwrap();
             assert!(k < 3 || innovation < 1.0, "{model:?}: {innovation}");
         }
         let jump = Vector2::new(-50.0, 35.0);
         assert!(step(jump, 0.0).unwrap() > beyond, "{model:?}");
-        // After a long pause nothing is foretold, and nothing surprises.
+        // After a long pause there is no prediction, hence no innovation.
         assert_eq!(step(jump, 2.0), None, "{model:?}");
         assert!(step(jump, 0.0).is_some());
     }
 }
 
 #[test]
-fn time_does_not_run_backwards() {
+fn earlier_times_are_refused() {
     let (mut tracker, mut noise) = (tracker(Model::Ribbon, Thumb::None), Noise::new(0x7469_6d65));
     let hand = held_up(Thumb::None);
     let shown = picture(&hand, &mut noise);
@@ -621,7 +625,7 @@ fn time_does_not_run_backwards() {
         "{error}"
     );
     assert!(error.to_string().contains("at or after the last frame's"), "{error}");
-    // A refused frame changes nothing; the same time again is one.
+    // A refused frame has no effect; an equal time is accepted.
     for _ in 0..2 {
         assert!(update(&mut tracker, &shown, time_s).finger_line.is_some());
     }
@@ -639,7 +643,7 @@ fn the_same_frames_give_the_same_bits() {
             let [one, other] = trackers.each_mut().map(|t| update(t, &picture, k as f64 * FRAME_S));
             assert_eq!(one, other);
             assert_eq!(trackers[0].contour(), trackers[1].contour());
-            // A tracker goes on from a copy as it would itself.
+            // A copy of a tracker continues like the original.
             trackers[1] = trackers[0].clone();
         }
     }
@@ -647,7 +651,7 @@ fn the_same_frames_give_the_same_bits() {
 
 #[test]
 fn a_traced_outline_is_tracked_by_the_paper_s_model() {
-    // As if drawn round a hand somewhere else in another image, thumb and all.
+    // As if traced around a hand with its thumb, at another place in another image.
     let elsewhere = AffineMap::upright(Point2::new(400.0, 300.0), 2.0, 140.0).unwrap();
     let pistol = Template::pistol(Thumb::Left).unwrap();
     let outline: Vec<_> =
@@ -674,7 +678,7 @@ fn a_traced_outline_is_tracked_by_the_paper_s_model() {
 }
 
 #[test]
-fn a_track_tells_its_story() {
+fn the_fields_of_a_track_are_consistent() {
     for (model, thumb, names) in [
         (Model::Ribbon, Thumb::Left, 9),
         (Model::Ribbon, Thumb::None, 5),
@@ -685,10 +689,10 @@ fn a_track_tells_its_story() {
         let hand = held_up(thumb);
         let time_s = acquire(&mut tracker, &hand, &mut noise);
         let track = update(&mut tracker, &picture(&hand, &mut noise), time_s);
-        let (shape, line, told) =
+        let (shape, line, diagnostics) =
             (track.shape.unwrap(), track.finger_line.unwrap(), track.diagnostics);
         assert_eq!(track.time_s, time_s);
-        assert_eq!((shape.names.len(), told.rank), (names, names), "{model:?} {thumb:?}");
+        assert_eq!((shape.names.len(), diagnostics.rank), (names, names), "{model:?} {thumb:?}");
         assert!(shape.vector.iter().skip(names).all(|&x| x == 0.0));
         let covariance = shape.covariance;
         for i in 0..covariance.nrows() {
@@ -699,8 +703,8 @@ fn a_track_tells_its_story() {
             }
         }
         assert!((0..names).all(|i| covariance[(i, i)] > 0.0));
-        // The line goes through the centre that the shape vector begins with; the pixels move it by
-        // less than the contour's own error.
+        // The line passes through the centre in the shape vector; refinement by the pixels moves it
+        // by less than the contour's error.
         let (near_px, near_rad) = match line.source {
             LineSource::Contour => (1e-9, 1e-9),
             LineSource::Pixels | LineSource::Both => (0.2, 0.01),
@@ -715,19 +719,24 @@ fn a_track_tells_its_story() {
             assert!(line.covariance[(1, 1)] < covariance[(2, 2)], "refined in vain");
         }
 
-        assert!(told.accepted && told.iterations >= 1);
-        assert!(told.inliers <= told.hits && told.hits <= told.visible);
-        assert!(told.visible <= tracker.options().samples && told.inliers > told.visible / 2);
-        assert!(told.residual_rms_px > 0.0 && told.residual_rms_px < 0.5);
-        assert_eq!(tracker.search_lines().len(), told.visible);
-        assert_eq!(tracker.search_lines().filter(|s| s.found.is_ok()).count(), told.hits);
-        assert_eq!(tracker.search_lines().filter(|s| s.agrees).count(), told.inliers);
+        assert!(diagnostics.accepted && diagnostics.iterations >= 1);
+        assert!(diagnostics.inliers <= diagnostics.hits && diagnostics.hits <= diagnostics.visible);
+        assert!(
+            diagnostics.visible <= tracker.options().samples
+                && diagnostics.inliers > diagnostics.visible / 2
+        );
+        assert!(diagnostics.residual_rms_px > 0.0 && diagnostics.residual_rms_px < 0.5);
+        assert_eq!(tracker.search_lines().len(), diagnostics.visible);
+        assert_eq!(tracker.search_lines().filter(|s| s.found.is_ok()).count(), diagnostics.hits);
+        assert_eq!(tracker.search_lines().filter(|s| s.agrees).count(), diagnostics.inliers);
         assert!(tracker.search_lines().all(|s| s.found.is_ok() || !s.agrees));
-        assert!(told.agreement >= told.min_agreement && told.min_agreement > 0.0);
-        assert!(told.residual_rms_px <= told.max_residual_px);
-        // The contour lies on the hand's edge.
+        assert!(
+            diagnostics.agreement >= diagnostics.min_agreement && diagnostics.min_agreement > 0.0
+        );
+        assert!(diagnostics.residual_rms_px <= diagnostics.max_residual_px);
+        // The contour is at the edge of the hand.
         let contour = tracker.contour();
-        assert_eq!(contour.len(), told.visible);
+        assert_eq!(contour.len(), diagnostics.visible);
         for placed in contour {
             let (depth, outward) = hand.depth(placed.position);
             assert!(depth.abs() < 0.6, "{model:?} {thumb:?} {depth} at {placed:?}");
@@ -775,7 +784,7 @@ fn colours_may_come_and_go() {
 }
 
 #[test]
-fn a_film_is_tracked_to_the_same_bits_by_every_instruction_set() {
+fn every_instruction_set_tracks_a_recording_to_the_same_bits() {
     for model in MODELS {
         let mut noise = Noise::new(0x6269_7473);
         let film: Vec<_> =
@@ -810,7 +819,7 @@ fn frames_may_change_their_size() {
 }
 
 #[test]
-fn a_start_beside_the_image_waits_there() {
+fn a_start_pose_outside_the_image_waits_there() {
     let shown = picture(&held_up(Thumb::Left), &mut Noise::new(0x6f75_7473));
     for model in MODELS {
         for (u, v) in [(-500.0, 60.0), (130.0, 1e5), (1e9, -1e9)] {
@@ -826,9 +835,9 @@ fn a_start_beside_the_image_waits_there() {
 }
 
 #[test]
-fn edges_without_contrast_are_no_error() {
-    // The least contrast may be none at all; then there are edges everywhere, and in a picture of
-    // two flat halves places that hardly are.
+fn a_minimum_contrast_of_zero_is_no_error() {
+    // With a minimum contrast of zero there are edges everywhere, in a picture of two flat halves
+    // even where the gradient is nearly zero.
     let bytes: Vec<u8> =
         (0..WIDTH * HEIGHT).map(|i| if i % WIDTH < 110 { 150 } else { 60 }).collect();
     let picture = Picture { width: WIDTH, height: HEIGHT, bytes };
@@ -844,7 +853,7 @@ fn edges_without_contrast_are_no_error() {
 
 #[test]
 fn a_hand_as_large_as_a_large_image_is_no_error() {
-    // No search line is longer than 128 px, but a hand may be larger than ten of them.
+    // Search lines are limited to 128 px, but a hand may be ten times as large.
     let start = StartPose { tip_px: Point2::new(1200.0, 190.0), angle_rad: 0.0, length_px: 1100.0 };
     let hand = Hand::usual(Thumb::Left, start.tip_px, start.angle_rad, start.length_px);
     let canvas = Canvas::new(1250, 380, BACKGROUND).paint(&hand, HAND).blur(BLUR_PX);
@@ -857,7 +866,7 @@ fn a_hand_as_large_as_a_large_image_is_no_error() {
     }
 }
 
-/// The picture of a finger so large that the longest search lines are short beside it, and its start.
+/// The picture of a finger much larger than the longest search lines, and its start pose.
 fn vast() -> (Picture, StartPose) {
     let start =
         StartPose { tip_px: Point2::new(1650.0, 450.0), angle_rad: 0.02, length_px: 1500.0 };
@@ -868,7 +877,7 @@ fn vast() -> (Picture, StartPose) {
 }
 
 #[test]
-fn a_vast_hand_that_leaves_is_a_status_and_no_error() {
+fn the_loss_of_a_vast_hand_is_a_status_and_no_error() {
     let (picture, start) = vast();
     let empty = Picture { bytes: vec![60; picture.bytes.len()], ..picture.clone() };
     for model in MODELS {
@@ -878,11 +887,11 @@ fn a_vast_hand_that_leaves_is_a_status_and_no_error() {
         let template = Template::pistol(Thumb::None).unwrap();
         let mut tracker = ContourTracker::new(template, &start, options).unwrap();
         let shown = [&picture, &picture, &picture, &empty, &empty, &empty].into_iter().enumerate();
-        let told =
+        let statuses =
             shown.map(|(k, picture)| update(&mut tracker, picture, k as f64 * FRAME_S).status);
-        let told: Vec<_> = told.collect();
+        let statuses: Vec<_> = statuses.collect();
         let left = [Status::Tracking, Status::Tracking, Status::Lost, Status::Lost];
-        assert_eq!(told[2..], left, "{model:?}");
+        assert_eq!(statuses[2..], left, "{model:?}");
     }
 }
 
@@ -948,7 +957,7 @@ fn options_out_of_range_are_refused_with_their_value() {
     assert!(refusal(fit, 0.5).unwrap().starts_with("Tukey cutoff [robust sigma] is 0.5"));
 }
 
-/// A picture whose every pixel has become a square of so many.
+/// A picture with every pixel enlarged to a square of `times` × `times`.
 fn magnified(picture: &Picture, times: usize) -> Picture {
     let (width, height) = (times * picture.width, times * picture.height);
     let at = |i: usize| picture.bytes[i / width / times * picture.width + i % width / times];
@@ -956,8 +965,8 @@ fn magnified(picture: &Picture, times: usize) -> Picture {
 }
 
 #[test]
-fn a_hand_that_is_seen_larger_is_followed_alike() {
-    // Half its width is 6.4 px; three times that is looked at in a picture a third as large.
+fn an_enlarged_hand_is_followed_equally() {
+    // The half-width is 6.4 px; at three times that, the tracker uses a picture a third as large.
     let usually = StartPose { length_px: 56.0, ..START };
     for (times, thumb) in [(2, Thumb::Left), (3, Thumb::None)] {
         let px = times as f64;
@@ -989,14 +998,14 @@ fn a_hand_that_is_seen_larger_is_followed_alike() {
                 assert_eq!(offset(&at), offset(&expected).map(|offset_px| px * offset_px));
                 assert_eq!(at.agrees, expected.agrees);
             }
-            let (told, usually) = (&track.diagnostics, &expected.diagnostics);
-            assert!((told.residual_rms_px - px * usually.residual_rms_px).abs() < 1e-9);
-            assert_eq!(told.max_residual_px, px * usually.max_residual_px);
+            let (diagnostics, usually) = (&track.diagnostics, &expected.diagnostics);
+            assert!((diagnostics.residual_rms_px - px * usually.residual_rms_px).abs() < 1e-9);
+            assert_eq!(diagnostics.max_residual_px, px * usually.max_residual_px);
             if let (Some(shape), Some(expected)) = (track.shape, expected.shape) {
                 assert!(
                     (shape.vector.xy() - place(expected.vector.xy().into()).coords).norm() < 1e-6
                 );
-                // Angle and taper are no lengths.
+                // Angle and taper do not scale.
                 for (i, unit) in [(2, 1.0), (3, px), (4, 1.0)] {
                     assert!((shape.vector[i] - unit * expected.vector[i]).abs() < 1e-9);
                     let sigmas = [&shape, &expected].map(|s| s.covariance[(i, i)].sqrt());
@@ -1020,13 +1029,13 @@ fn a_hand_that_is_seen_larger_is_followed_alike() {
     }
 }
 
-/// How far the finger line of a sharp hand of some length is off, in its own units, and what it says of
-/// itself: root mean squares of the angle \[rad\] over several pictures.
+/// Actual and reported standard deviation of the finger line's angle \[rad\] for sharp pictures of
+/// a hand of a given length.
 fn angle_of_large(length_px: f64) -> [f64; 2] {
     const HANDS: usize = 12;
     let (size, tip) = (length_px * 2.6, Point2::new(length_px * 2.0, length_px * 0.8));
     let mut noise = Noise::new(5);
-    let (mut squares, mut told) = (0.0, 0.0);
+    let (mut squares, mut variances) = (0.0, 0.0);
     for k in 0..HANDS {
         let angle_rad = START.angle_rad + 0.03 * k as f64;
         let hand = Hand::usual(Thumb::None, tip, angle_rad, length_px);
@@ -1040,15 +1049,15 @@ fn angle_of_large(length_px: f64) -> [f64; 2] {
         let line = tracks[1].finger_line.expect("a large hand");
         assert_eq!(line.source, LineSource::Pixels);
         squares += LineError::of(&line, &hand).angle_rad.powi(2);
-        told += line.covariance[(1, 1)];
+        variances += line.covariance[(1, 1)];
     }
-    [squares, told].map(|sum| (sum / HANDS as f64).sqrt())
+    [squares, variances].map(|sum| (sum / HANDS as f64).sqrt())
 }
 
 #[test]
-fn a_sharp_picture_of_a_large_hand_is_worth_all_of_its_pixels() {
-    // As sure as the length of its flanks to the power of -3/2 lets it be; of means of 2 x 2 pixels it
-    // would be less so by an eighth.
+fn a_sharp_picture_of_a_large_hand_is_used_at_full_resolution() {
+    // The standard deviation goes with the length of the flanks to the power of −3/2; from means of
+    // 2 × 2 pixels it would be larger by an eighth.
     let [usual, large] = [60.0, 120.0].map(angle_of_large);
     assert!(large[0] < 0.5 * usual[0], "{large:?} {usual:?}");
     assert!(large[1] < 0.37 * usual[1], "{large:?} {usual:?}");
@@ -1056,7 +1065,7 @@ fn a_sharp_picture_of_a_large_hand_is_worth_all_of_its_pixels() {
 }
 
 #[test]
-fn a_start_that_is_no_pose_is_refused() {
+fn an_invalid_start_pose_is_refused() {
     let refusal = |start: StartPose| {
         let template = Template::pistol(Thumb::Left).unwrap();
         ContourTracker::new(template, &start, TrackerOptions::default()).unwrap_err().to_string()
@@ -1138,10 +1147,10 @@ fn any_options() -> impl Strategy<Value = TrackerOptions> {
     )
 }
 
-/// [`vast`], painted once.
+/// [`vast`], rendered once.
 static VAST: OnceLock<(Picture, StartPose)> = OnceLock::new();
 
-/// Shows the tracker one frame more and checks that its answer can be used.
+/// Shows the tracker one more frame and checks that its result is valid.
 fn check_any(tracker: &mut ContourTracker, picture: &Picture, coloured: bool, k: usize) -> Status {
     let Picture { width, height, bytes } = picture;
     let gray = GrayView::new(bytes, *width, *height, *width).unwrap();
@@ -1164,8 +1173,11 @@ fn check_any(tracker: &mut ContourTracker, picture: &Picture, coloured: bool, k:
         assert!(covariance.iter().all(|x| x.is_finite()), "{covariance}");
         assert!(covariance[(0, 0)] > 0.0 && covariance[(1, 1)] > 0.0, "{covariance}");
     }
-    let (told, samples) = (track.diagnostics, tracker.options().samples);
-    assert!(told.inliers <= told.visible && told.visible <= samples, "{told:?}");
+    let (diagnostics, samples) = (track.diagnostics, tracker.options().samples);
+    assert!(
+        diagnostics.inliers <= diagnostics.visible && diagnostics.visible <= samples,
+        "{diagnostics:?}"
+    );
     assert!(tracker.contour().len() <= samples);
     track.status
 }
@@ -1174,7 +1186,7 @@ proptest! {
     #![proptest_config(config(96))]
 
     #[test]
-    fn any_bytes_from_any_start_have_an_answer(
+    fn any_bytes_from_any_start_give_a_valid_result(
         pictures in prop::collection::vec(pictures(), 1..5),
         start in starts(),
         options in any_options(),
@@ -1189,13 +1201,13 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_after_a_hand_have_an_answer(
+    fn any_bytes_after_a_hand_give_a_valid_result(
         pictures in prop::collection::vec(pictures(), 1..10),
         options in any_options(),
         thumb in prop_oneof![Just(Thumb::Left), Just(Thumb::None)],
         coloured in any::<bool>(),
     ) {
-        // A tracker that takes anything for the hand that it has seen follows it anywhere.
+        // With such permissive options the tracker follows anything.
         let start = StartPose { tip_px: Point2::new(62.0, 22.0), angle_rad: -0.3, length_px: 40.0 };
         let hand = Hand::usual(thumb, start.tip_px, start.angle_rad, start.length_px);
         let shown = Canvas::new(80, 64, BACKGROUND).paint(&hand, HAND).blur(BLUR_PX);
@@ -1226,14 +1238,14 @@ proptest! {
     #![proptest_config(config(24))]
 
     #[test]
-    fn any_bytes_after_a_vast_hand_have_an_answer(
+    fn any_bytes_after_a_vast_hand_give_a_valid_result(
         pictures in prop::collection::vec((pictures(), 1..60_usize), 1..6),
         options in any_options(),
     ) {
         let (shown, start) = VAST.get_or_init(vast);
         let usual = TrackerOptions::default();
         let options = TrackerOptions {
-            // Hands of the other one are followed at the usual size.
+            // The other model follows large hands at a reduced size.
             model: Model::Paper,
             polarity: Polarity::Bright,
             samples: usual.samples,
@@ -1261,7 +1273,7 @@ proptest! {
     #[test]
     fn a_hand_is_found_from_any_direction(angle_rad in 0.0..TAU, off_px in (-4.0..4.0, -4.0..4.0)) {
         for model in MODELS {
-            // In the middle, so that all of it is in the image.
+            // In the middle, so that the whole hand is in the image.
             let middle = Point2::new(100.0, 75.0);
             let ahead = Vector2::new(angle_rad.cos(), angle_rad.sin()) * (0.5 * LENGTH_PX);
             let start = StartPose { tip_px: middle + ahead, angle_rad, length_px: LENGTH_PX };
@@ -1279,9 +1291,9 @@ proptest! {
 }
 
 #[test]
-fn what_no_hand_does_from_frame_to_frame_is_refused() {
+fn implausible_changes_between_frames_are_refused() {
     let other = |hand: &Hand, refusal: Refusal| match refusal {
-        // A print, a cable or a second finger under the tip.
+        // Like a print, a cable or a second finger under the tip.
         Refusal::Motion => Hand { angle_rad: hand.angle_rad + 0.7, ..*hand },
         _ => Hand { half_width_px: 2.2 * hand.half_width_px, ..*hand },
     };
@@ -1303,12 +1315,12 @@ fn what_no_hand_does_from_frame_to_frame_is_refused() {
 }
 
 #[test]
-fn a_hand_that_comes_too_fast_for_edges_to_lead_from_frame_to_frame_is_acquired() {
+fn a_hand_too_fast_to_follow_between_frames_is_acquired() {
     let mut tracker = tracker(Model::Ribbon, Thumb::None);
     let mut noise = Noise::new(0x6661_7374);
-    let aside = Vector2::new(-START.angle_rad.sin(), START.angle_rad.cos());
+    let lateral = Vector2::new(-START.angle_rad.sin(), START.angle_rad.cos());
     let acquired = (-3..=0).any(|k| {
-        let tip = START.tip_px + aside * ((f64::from(k) + 0.5) * FAST_PX);
+        let tip = START.tip_px + lateral * ((f64::from(k) + 0.5) * FAST_PX);
         let hand = Hand::usual(Thumb::None, tip, START.angle_rad, LENGTH_PX);
         let time_s = f64::from(k + 3) * FRAME_S;
         let line = update(&mut tracker, &picture(&hand, &mut noise), time_s).finger_line;
@@ -1318,7 +1330,7 @@ fn a_hand_that_comes_too_fast_for_edges_to_lead_from_frame_to_frame_is_acquired(
 }
 
 #[test]
-fn a_thumb_that_lies_along_the_finger_does_not_turn_its_line() {
+fn a_thumb_along_the_finger_does_not_rotate_its_line() {
     for (waiting, side) in [(Thumb::None, 1.0), (Thumb::None, -1.0), (Thumb::Right, 1.0)] {
         for angle_deg in [15.0, 20.0, 30.0, 40.0_f64] {
             let mut hand = held_up(Thumb::Right);
@@ -1342,7 +1354,7 @@ fn a_thumb_that_lies_along_the_finger_does_not_turn_its_line() {
     }
 }
 
-/// A finger that lies along the waiting template, with its joint in the middle.
+/// A finger aligned with the waiting template, with its joint in the middle.
 fn pointing() -> BentFinger {
     let ahead = Vector2::new(START.angle_rad.cos(), START.angle_rad.sin());
     let length_px = 0.5 * LENGTH_PX;
@@ -1361,7 +1373,7 @@ fn picture_of(finger: &BentFinger, noise: &mut Noise) -> Picture {
 }
 
 #[test]
-fn a_tip_is_found_again_once_what_has_pushed_the_template_back_uncovers_it() {
+fn a_tip_is_found_again_after_an_occluder_has_displaced_the_template() {
     const THICK_PX: f64 = 14.0;
     const BAR: f64 = BACKGROUND - 25.0;
     let hand = held_up(Thumb::None);
@@ -1369,7 +1381,8 @@ fn a_tip_is_found_again_once_what_has_pushed_the_template_back_uncovers_it() {
     let mut noise = Noise::new(0x7075_7368);
     let start_s = acquire(&mut tracker, &hand, &mut noise);
     for k in 0..38 {
-        // Its near side, behind the tip: it comes from ahead, crosses the tip and goes on back.
+        // The bar's near side, behind the tip: the bar approaches from ahead, crosses the tip and
+        // moves on.
         let behind_px = 2.5 * f64::from(k) - 40.0;
         let mut canvas = Canvas::new(WIDTH, HEIGHT, BACKGROUND).paint(&hand, HAND);
         for (i, grey) in canvas.grey.iter_mut().enumerate() {
@@ -1385,7 +1398,7 @@ fn a_tip_is_found_again_once_what_has_pushed_the_template_back_uncovers_it() {
         if let Some(line) = track.finger_line {
             let error = LineError::of(&line, &hand);
             assert!(error.angle_rad.abs() < 0.1, "{k}: {error:?}");
-            // As soon as more of the finger shows before it than behind it.
+            // As soon as more of the finger is visible ahead of the bar than behind it.
             if behind_px - THICK_PX > 0.4 * LENGTH_PX {
                 assert!(error.tip_px < 3.0, "{k}: {error:?}");
             }
@@ -1395,8 +1408,8 @@ fn a_tip_is_found_again_once_what_has_pushed_the_template_back_uncovers_it() {
 }
 
 #[test]
-fn a_finger_that_bends_is_a_misfit_until_it_is_straight_again() {
-    // From one frame to the next; up, held, and back.
+fn a_bent_finger_is_a_misfit_until_it_is_straight_again() {
+    // The bend increases from frame to frame, is held, and decreases.
     for (thumb, step_deg, most) in
         [(Thumb::None, 5.0, 10), (Thumb::None, -5.0, 10), (Thumb::Left, 12.0, 5)]
     {
@@ -1409,13 +1422,13 @@ fn a_finger_that_bends_is_a_misfit_until_it_is_straight_again() {
             let bend_rad = (step_deg * f64::from(n)).to_radians();
             let finger = pointing().bent(bend_rad);
             let track = update(&mut tracker, &picture_of(&finger, &mut noise), k as f64 * FRAME_S);
-            let told = track.diagnostics;
-            let case = format!("frame {k}, {:.0} deg: {told:?}", bend_rad.to_degrees());
+            let diagnostics = track.diagnostics;
+            let case = format!("frame {k}, {:.0} deg: {diagnostics:?}", bend_rad.to_degrees());
             if k < 6 {
                 continue;
             }
             assert_eq!(track.status, Status::Tracking, "{case}");
-            // One that was bent may take a frame to be known again.
+            // After a bend, the line may be missing for one more frame.
             let before_rad = (step_deg * f64::from(steps[k - 1])).to_radians();
             let is_straight = if refusals.is_empty() {
                 bend_rad.abs() < 0.18
@@ -1423,14 +1436,14 @@ fn a_finger_that_bends_is_a_misfit_until_it_is_straight_again() {
                 bend_rad.abs().max(before_rad.abs()) < 0.1
             };
             if is_straight {
-                assert!(track.finger_line.is_some() && told.refusal.is_none(), "{case}");
+                assert!(track.finger_line.is_some() && diagnostics.refusal.is_none(), "{case}");
             }
             if bend_rad.abs() > 0.42 {
                 assert!(track.finger_line.is_none() && track.shape.is_none(), "{case}");
-                refusals.extend(told.refusal);
+                refusals.extend(diagnostics.refusal);
             }
-            if let Some(told) = told.bend_rad {
-                assert!((told - bend_rad).abs() < 0.06, "{case}");
+            if let Some(measured_rad) = diagnostics.bend_rad {
+                assert!((measured_rad - bend_rad).abs() < 0.06, "{case}");
             }
         }
         let misfits = refusals.iter().filter(|&&r| r == Refusal::Misfit).count();
@@ -1443,7 +1456,7 @@ fn a_finger_that_bends_is_a_misfit_until_it_is_straight_again() {
 }
 
 #[test]
-fn a_template_does_not_wait_for_a_bent_finger() {
+fn a_bent_finger_is_not_acquired() {
     let mut tracker = tracker(Model::Ribbon, Thumb::None);
     let mut noise = Noise::new(0x7761_6974);
     let mut refusals = Vec::new();
@@ -1452,7 +1465,7 @@ fn a_template_does_not_wait_for_a_bent_finger() {
         let track = update(&mut tracker, &picture_of(&finger, &mut noise), f64::from(k) * FRAME_S);
         assert!(track.finger_line.is_none(), "frame {k}: {track:?}");
         let Diagnostics { refusal, bend_rad, .. } = track.diagnostics;
-        // The bend for which it is refused is told, and no other.
+        // Only the bend that causes a refusal is reported.
         assert_eq!(bend_rad.is_some(), refusal == Some(Refusal::Misfit), "frame {k}: {track:?}");
         assert!(bend_rad.is_none_or(|rad| (rad - 0.42).abs() < 0.06), "{bend_rad:?}");
         refusals.extend(refusal);
@@ -1465,7 +1478,7 @@ fn a_template_does_not_wait_for_a_bent_finger() {
 }
 
 #[test]
-fn a_frame_that_acquires_a_hand_or_finds_it_again_tells_its_bend() {
+fn a_frame_that_acquires_or_recovers_a_hand_reports_its_bend() {
     let mut tracker = tracker(Model::Ribbon, Thumb::None);
     let mut noise = Noise::new(0x746f_6c64);
     let finger = pointing().bent(0.1);
@@ -1477,17 +1490,20 @@ fn a_frame_that_acquires_a_hand_or_finds_it_again_tells_its_bend() {
             assert!(time_s < 2.0, "{track:?}");
             track = update(&mut tracker, &picture_of(&finger, &mut noise), time_s);
         }
-        let told = track.diagnostics;
-        assert!(track.finger_line.is_some(), "{told:?}");
-        assert!(told.bend_rad.is_some_and(|rad| (rad - 0.1).abs() < 0.06), "{told:?}");
+        let diagnostics = track.diagnostics;
+        assert!(track.finger_line.is_some(), "{diagnostics:?}");
+        assert!(
+            diagnostics.bend_rad.is_some_and(|rad| (rad - 0.1).abs() < 0.06),
+            "{diagnostics:?}"
+        );
         time_s += FRAME_S;
         lose(&mut tracker, &mut time_s, &mut noise);
     }
 }
 
 #[test]
-fn a_hand_that_is_found_again_tells_how_much_of_it_had_to_agree() {
-    // Only what is next to the knuckle looks as it did: the edges of the front count less.
+fn a_recovered_hand_reports_the_required_agreement() {
+    // Only the part next to the knuckle is unchanged; the edges of the front have less weight.
     let mut tracker = tracker(Model::Ribbon, Thumb::None);
     let (hand, mut noise) = (held_up(Thumb::None), Noise::new(0x6167_7265));
     let mut time_s = acquire(&mut tracker, &hand, &mut noise);
@@ -1496,14 +1512,18 @@ fn a_hand_that_is_found_again_tells_how_much_of_it_had_to_agree() {
     let canvas = Canvas::new(WIDTH, HEIGHT, BACKGROUND).paint(&hand, 220.0).paint(&behind, HAND);
     let shown = canvas.blur(BLUR_PX).take(NOISE, &mut noise);
     let track = update(&mut tracker, &shown, time_s);
-    let told = track.diagnostics;
+    let diagnostics = track.diagnostics;
     assert!(track.finger_line.is_some(), "{track:?}");
     let usual = tracker.options().acquire.accept.min_inliers;
-    assert!(usual + 0.05 < told.min_agreement && told.min_agreement <= told.agreement, "{told:?}");
+    assert!(
+        usual + 0.05 < diagnostics.min_agreement
+            && diagnostics.min_agreement <= diagnostics.agreement,
+        "{diagnostics:?}"
+    );
 }
 
 #[test]
-fn what_stays_bent_for_longer_than_it_was_straight_is_lost() {
+fn a_finger_bent_for_longer_than_it_was_straight_is_lost() {
     let mut tracker = tracker(Model::Ribbon, Thumb::None);
     let mut noise = Noise::new(0x7374_6179);
     let mut time_s = 0.0;
@@ -1518,7 +1538,7 @@ fn what_stays_bent_for_longer_than_it_was_straight_is_lost() {
     assert!(show(0.0).finger_line.is_some());
 }
 
-/// Something round that lies over the hand.
+/// An occluding disc.
 struct Disc {
     centre: Point2<f64>,
     radius_px: f64,
@@ -1533,15 +1553,15 @@ impl Shape for Disc {
 }
 
 #[test]
-fn discs_that_lie_over_a_still_hand_from_one_frame_to_the_next_do_not_turn_it() {
+fn suddenly_occluding_discs_do_not_rotate_the_line_of_a_still_hand() {
     let hand = held_up(Thumb::None);
     let (along, across) =
         (hand.direction(), Vector2::new(-hand.angle_rad.sin(), hand.angle_rad.cos()));
-    let disc = |behind: f64, aside: f64, radius: f64| Disc {
-        centre: hand.tip_px + (along * -behind + across * aside) * hand.half_width_px,
+    let disc = |behind: f64, lateral: f64, radius: f64| Disc {
+        centre: hand.tip_px + (along * -behind + across * lateral) * hand.half_width_px,
         radius_px: radius * hand.half_width_px,
     };
-    // Over the tip and over either flank, brighter and darker than the finger.
+    // Over the tip and both flanks, brighter and darker than the finger.
     let layouts = [
         [(disc(0.5, 0.3, 1.3), 225.0), (disc(4.5, -1.0, 1.0), 110.0)],
         [(disc(0.8, -0.9, 1.4), 110.0), (disc(3.5, 1.2, 1.1), 30.0)],
@@ -1551,7 +1571,7 @@ fn discs_that_lie_over_a_still_hand_from_one_frame_to_the_next_do_not_turn_it() 
         let mut tracker = tracker(Model::Ribbon, Thumb::None);
         let mut noise = Noise::new(0x6469_7363);
         let mut time_s = acquire(&mut tracker, &hand, &mut noise);
-        let mut told = 0;
+        let mut reported = 0;
         for k in 0..22 {
             let mut canvas = Canvas::new(WIDTH, HEIGHT, BACKGROUND).paint(&hand, HAND);
             if k >= 10 {
@@ -1563,16 +1583,16 @@ fn discs_that_lie_over_a_still_hand_from_one_frame_to_the_next_do_not_turn_it() 
             let line = update(&mut tracker, &picture, time_s).finger_line;
             time_s += FRAME_S;
             let Some(line) = line.filter(|_| k >= 10) else { continue };
-            told += 1;
+            reported += 1;
             let turned = turn(hand.angle_rad, line.axis.angle_rad);
             assert!(turned.abs() < 0.02, "layout {which}, frame {k}: {turned}");
         }
-        assert!(told >= 10, "layout {which}: {told}");
+        assert!(reported >= 10, "layout {which}: {reported}");
     }
 }
 
 #[test]
-fn a_light_that_falls_at_once_does_not_hide_the_hand() {
+fn a_sudden_drop_of_light_does_not_lose_the_hand() {
     for thumb in THUMBS {
         let mut tracker = tracker(Model::Ribbon, thumb);
         let mut noise = Noise::new(0x6c69_6768);
@@ -1593,8 +1613,8 @@ fn a_light_that_falls_at_once_does_not_hide_the_hand() {
 const PAPER: f64 = 200.0;
 
 impl Canvas {
-    /// Lays a finger over it that a lamp lights on its left: so bright at that flank, so dark at the
-    /// other, and in between in proportion.
+    /// Paints a finger lit from its left, with linear shading from level `lit` at that flank to
+    /// `shaded` at the other.
     fn paint_lit(mut self, finger: &Hand, [lit, shaded]: [f64; 2]) -> Self {
         for (i, grey) in self.grey.iter_mut().enumerate() {
             let at = Point2::new((i % WIDTH) as f64, (i / WIDTH) as f64);
@@ -1607,18 +1627,18 @@ impl Canvas {
     }
 }
 
-/// Of a finger whose edges may have either polarity.
+/// A waiting tracker for edges of either polarity.
 fn waiting_in_grey() -> ContourTracker {
     let options = TrackerOptions::default();
     ContourTracker::new(Template::pistol(Thumb::None).unwrap(), &START, options).unwrap()
 }
 
 #[test]
-fn a_soft_shadow_beside_a_finger_is_no_part_of_it() {
-    for aside_px in [16.0, 18.0, 20.0] {
+fn a_soft_shadow_beside_a_finger_does_not_bias_its_line() {
+    for distance_px in [16.0, 18.0, 20.0] {
         let hand = held_up(Thumb::None);
-        let aside = Vector2::new(-hand.angle_rad.sin(), hand.angle_rad.cos());
-        let shadow = Hand { tip_px: hand.tip_px + aside * aside_px, ..hand };
+        let lateral = Vector2::new(-hand.angle_rad.sin(), hand.angle_rad.cos());
+        let shadow = Hand { tip_px: hand.tip_px + lateral * distance_px, ..hand };
         let table = Canvas::new(WIDTH, HEIGHT, PAPER).paint(&shadow, 130.0).blur(3.5);
         let scene = table.paint_lit(&hand, [170.0, 135.0]).blur(BLUR_PX);
         let mut tracker = waiting_in_grey();
@@ -1634,7 +1654,7 @@ fn a_soft_shadow_beside_a_finger_is_no_part_of_it() {
     }
 }
 
-/// A sheet with rows of words.
+/// A sheet of printed text.
 fn printed(noise: &mut Noise) -> Canvas {
     let mut sheet = Canvas::new(WIDTH, HEIGHT, PAPER);
     for row in (3..HEIGHT - 4).step_by(14) {
@@ -1651,8 +1671,8 @@ fn printed(noise: &mut Noise) -> Canvas {
 }
 
 #[test]
-fn print_under_a_finger_does_not_hide_it_without_colours() {
-    // Its edges are stronger than the finger's, and nearer than the template reaches.
+fn in_grey_print_under_a_finger_does_not_prevent_acquisition() {
+    // The edges of the print are stronger than the finger's and within the reach of the template.
     let hand = held_up(Thumb::None);
     let acquired = (0..12).filter(|seed| {
         let mut noise = Noise::new(0x7072_696e + seed);
@@ -1663,7 +1683,7 @@ fn print_under_a_finger_does_not_hide_it_without_colours() {
         let error = track.last().unwrap().finger_line.map(|line| LineError::of(&line, &hand));
         error.is_some_and(|e| e.offset_px.abs() < 0.5 && e.angle_rad.abs() < 0.02)
     });
-    // Of the same scenes it was one while edges were looked for from afar alone.
+    // With the search over long distances alone it was one of these scenes.
     let acquired = acquired.count();
     assert!(acquired >= 7, "{acquired}");
 }

@@ -1,6 +1,7 @@
-"""Set-up on the page: views, table, hand, the operator's aim, and the rig file; nothing is typed.
+"""Set-up on the page: views, table, hand, the operator's aim, and the rig file, without typing.
 
-`asked` is what a page may ask for; `offers` what may become a view, with pictures of it; `table`
-finds the references and judges the rig (`advise`, `doctor`); `hand` looks for the hand; `aim`
-learns the operator's habit; `dialogue` goes through these steps, in the order that the page asks.
+`asked` defines the page's commands; `offers` lists the sources that may become views, with
+pictures; `table` detects the references and assesses the rig (`advise`, `doctor`); `hand` searches
+for the hand; `aim` calibrates the operator's habit; `dialogue` executes these steps in the order
+that the page requests.
 """

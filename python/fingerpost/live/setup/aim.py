@@ -1,4 +1,4 @@
-"""The operator's aim: five places light up, he points at each, and his habit is learned."""
+"""Calibration of the operator's habit: the operator points at five places in turn."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from fingerpost.pipeline import Pointer, Step, steps
 OPERATOR = "operator"
 
 DWELL_S = 1.0
-"""How long a place is pointed at."""
+"""Time for which the operator points at a place [s]."""
 
-_INSET = 0.2  # of the plane's extent: a habit holds between the outermost places
+_INSET = 0.2  # of the plane's extent: a habit is valid between the outermost places
 
 Shown = Callable[[dict[str, Any], Step], None]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Aimed:
-    """What was learned.
+    """Result of a calibration.
 
     Attributes
     ----------
     operator
-        The operator with his habit; None if he left off, or too few places were pointed at.
+        The operator with the habit; None if cancelled, or with too few places.
     state
-        Places, what was indicated at each, and the accuracy, fit for JSON.
+        Places, the points indicated at each, and the accuracy, as JSON values.
     """
 
     operator: Operator | None
@@ -61,20 +61,20 @@ def learn(
     show: Shown,
     dwell_s: float = DWELL_S,
 ) -> Aimed:
-    """Follow the hand from place to place, until all were pointed at or the page asks otherwise.
+    """Follow the hand from place to place, until all are done or the page sends a command.
 
     Parameters
     ----------
     rig
         The rig, complete.
     frames
-        Of all views.
+        Frames of all views.
     is_left
-        Tells whether to leave off.
+        Returns whether to cancel.
     show
-        Called with how far he is, and the step.
+        Called with the progress, and the step.
     dwell_s
-        How long each place is pointed at [s].
+        Time for each place [s].
     """
     places = places_on(rig)
     calibration = Calibration(places, dwell_s)
@@ -94,7 +94,7 @@ def learn(
 
 
 def _accuracy(habit: Habit) -> dict[str, Any]:
-    """Return by how much he points beside, and what the habit leaves of that."""
+    """Return the operator's error without and with correction of the habit."""
     off = habit.points - habit.targets
     return {
         "off": float(f"{math.sqrt(np.mean(np.sum(off**2, axis=1))):.3g}"),

@@ -1,4 +1,4 @@
-"""What a page may ask for while a rig is set up: one JSON object a message."""
+"""Commands of a page while a rig is set up: each message is one JSON object."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ Pair = tuple[float, float]
 
 
 class _Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="do"):
-    """What all of them share: no other keys."""
+    """Base class of the commands: unknown keys are refused."""
 
 
 class Held(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where a template waits for the hand; as `fingerpost.config.Start`."""
+    """Start pose of a template that waits for the hand; as `fingerpost.config.Start`."""
 
     tip_px: Pair
     angle_deg: float
@@ -24,16 +24,16 @@ class Held(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Chosen(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A view as it stands on the page.
+    """A view as arranged on the page.
 
     Attributes
     ----------
     offer
-        Which of the offered sources, from 0.
+        Index of the offered source, from 0.
     points_px
-        Its reference points (u, v), in the order of the plane's; none yet, or all four.
+        Its reference points (u, v), in the order of the plane's; none or all four.
     held
-        Where the hand is held up to a template, if it is.
+        Start pose of a template to which the hand is held up, if any.
     """
 
     offer: int
@@ -42,17 +42,17 @@ class Chosen(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Arrange(_Asked, frozen=True, tag="arrange"):
-    """Take views and plane as they stand on the page, and judge them.
+    """Set views and plane as arranged on the page, and assess them.
 
     Attributes
     ----------
     views
-        In the rig's order.
+        The views, in the rig's order.
     plane
-        What lies on the table, as `fingerpost.setting_up.reference_of` reads it; empty where the
-        pictures are to say.
+        Reference on the table, as parsed by `fingerpost.setting_up.reference_of`; empty to
+        recognise it in the pictures.
     finds
-        Whether references of views without points are looked for.
+        Whether to search for the references of views without points.
     """
 
     views: tuple[Chosen, ...]
@@ -61,40 +61,40 @@ class Arrange(_Asked, frozen=True, tag="arrange"):
 
 
 class LookForHand(_Asked, frozen=True, tag="hand"):
-    """Look for the hand in all views."""
+    """Search for the hand in all views."""
 
 
 class Aim(_Asked, frozen=True, tag="aim"):
-    """Have the operator point at known places, and learn his habit.
+    """Calibrate the operator's habit by pointing at known places.
 
     Attributes
     ----------
     learns
-        Whether he does; else what was learned is forgotten.
+        Whether to calibrate; otherwise discard the habit.
     """
 
     learns: bool = True
 
 
 class Leave(_Asked, frozen=True, tag="leave"):
-    """Leave off looking for the hand, or learning."""
+    """Cancel the search for the hand, or the calibration."""
 
 
 class Begin(_Asked, frozen=True, tag="begin"):
-    """Write the rig file, and begin."""
+    """Write the rig file, and start the run."""
 
 
 class Dropped(_Asked, frozen=True, tag="dropped"):
-    """Offer a recording that has been dropped onto the page; the page's server asks, no page.
+    """Offer a recording that has been dropped onto the page; sent by the server, not by a page.
 
     Attributes
     ----------
     path
-        Where it was written.
+        Its path.
     """
 
     path: Path
 
 
 SetUpCommand = Arrange | LookForHand | Aim | Leave | Begin
-"""What a page may ask for."""
+"""Any command of a page."""

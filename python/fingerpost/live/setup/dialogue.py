@@ -1,6 +1,6 @@
-"""Set-up as a dialogue with the page: it asks for one step or another, and is answered.
+"""Set-up as a dialogue with the page, which requests one step after another.
 
-The page may go to any step at any time, and come back; what was found stays.
+The page may go to any step at any time, and return; results are kept.
 """
 
 from __future__ import annotations
@@ -39,28 +39,28 @@ Asked = Arrange | LookForHand | Aim | Leave | Begin | Dropped
 def set_up(
     page: Page, folder: Path, sources: Sequence[str | int] = ()
 ) -> tuple[Path, Operator | None]:
-    """Have a rig set up on the page.
+    """Set up a rig on the page.
 
     Parameters
     ----------
     page
         The page.
     folder
-        Where the rig file goes, and recordings that are dropped onto the page.
+        Folder for the rig file, and for recordings that are dropped onto the page.
     sources
-        What may become a view; if none is named, the machine's cameras and the folder's recordings.
+        Sources that may become views; by default the machine's cameras and the folder's recordings.
 
     Returns
     -------
     path
         The rig file.
     operator
-        Whoever's habit was learned; None if nobody's. It is written beside the rig file.
+        The calibrated operator, who is also written beside the rig file; None without one.
 
     Raises
     ------
     InvalidInputError
-        A source that was named cannot be read.
+        A named source cannot be read.
     """
     offers = Offers(page.show_still)
     try:
@@ -70,16 +70,16 @@ def set_up(
 
 
 class Dialogue:
-    """Answers what the page asks for, until a rig is written.
+    """Executes the page's commands until a rig is written.
 
     Parameters
     ----------
     page
         The page.
     folder
-        Where files go.
+        Folder for files.
     offers
-        What may become a view.
+        Sources that may become views.
     """
 
     def __init__(self, page: Page, folder: Path, offers: Offers) -> None:
@@ -100,7 +100,7 @@ class Dialogue:
         }
 
     def run(self, sources: Sequence[str | int]) -> tuple[Path, Operator | None]:
-        """Go on until a rig is written; see `set_up`."""
+        """Run until a rig is written; see `set_up`."""
         self._publish()
         places = self._offers.add(sources or sources_in(self._folder))
         for place in places if sources else ():
@@ -116,7 +116,7 @@ class Dialogue:
                 return path, self._operator
 
     def _answer(self, asked: Asked) -> Path | None:
-        """Do what is asked for; return the rig file once it is written."""
+        """Execute a command; return the rig file once it is written."""
         self._publish(problem="")
         try:
             match asked:
@@ -158,7 +158,7 @@ class Dialogue:
         self._publish(busy="looking for the table" if wanted.finds else "judging")
         self._table.arrange(wanted, self._offers)
         if self._table.as_dict() == before:
-            self._publish(hand=None)  # templates alone have moved
+            self._publish(hand=None)  # only templates have moved
             return
         self._publish(hand=None, aim=None, advice=None, words=[], scene=None)
         self._operator = None
@@ -188,7 +188,7 @@ class Dialogue:
     def _frames(
         self, most: int | None = DEFAULT_FRAMES
     ) -> Iterator[tuple[Rig, Iterator[Sequence[Frame | Loss | None]]]]:
-        """Give the rig and frames of its views; of recordings no more than so many."""
+        """Yield the rig and frames of its views, a limited number for recordings."""
         rig = self._table.rig(self._offers)
         self._offers.pause()
         try:
@@ -200,7 +200,7 @@ class Dialogue:
             self._offers.resume()
 
     def _shown(self, key: str) -> Callable[[dict[str, Any], Step], None]:
-        """Return what shows a step's state and pictures, a few times a second."""
+        """Return a callback that shows a step's state and pictures, a few times a second."""
         shown_s = -1.0
 
         def show(state: dict[str, Any], step: Step) -> None:
@@ -228,7 +228,7 @@ class Dialogue:
         return path
 
     def _refuse_belied(self, rig: Rig) -> None:
-        """Refuse what the pictures belie: two views of one film, corners in another order."""
+        """Refuse a rig that contradicts its pictures: one film twice, corners out of order."""
         images = [self._offers[view.offer].image for view in self._table.chosen]
         scenery = Scenery(rig, [image for image in images if image is not None])
         if (same := scenery.same_pictures()) is not None:

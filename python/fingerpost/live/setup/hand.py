@@ -1,4 +1,4 @@
-"""The hand, as the main loop finds it in all views; where it does not, what would help."""
+"""Search for the hand in all views by the main loop, with remedies if it is not found."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from fingerpost.setting_up import SURE_FRAMES
 
 Shown = Callable[[dict[str, Any], Step], None]
 
-_KEPT_FRAMES = 25  # in which a hand that is held up to a template settles
+_KEPT_FRAMES = 25  # in which a hand held up to a template is confirmed
 _OUTLINE_POINTS = 96
 
 
@@ -44,14 +44,14 @@ def templates() -> dict[str, list[float]]:
 
 @dataclass(frozen=True, slots=True)
 class HandSearch:
-    """What came of a search.
+    """Result of a search.
 
     Attributes
     ----------
     is_found
-        Whether all views together indicate a point.
+        Whether the views give a point.
     state
-        What each view shows and what is wrong with it, fit for JSON.
+        Result and problems of each view, as JSON values.
     """
 
     is_found: bool
@@ -64,18 +64,18 @@ def look_for_hand(
     is_left: Callable[[], bool],
     show: Shown,
 ) -> HandSearch:
-    """Look for the hand until it points, frames end, or the page asks for something else.
+    """Search for the hand until it points, frames end, or the page sends a command.
 
     Parameters
     ----------
     rig
         The rig, complete.
     frames
-        Of all views.
+        Frames of all views.
     is_left
-        Tells whether to leave off.
+        Returns whether to cancel.
     show
-        Called with what is found so far, and the step.
+        Called with the intermediate result, and the step.
     """
     pointer = Pointer(rig)
     kept: deque[Sequence[Frame | Loss | None]] = deque(maxlen=_KEPT_FRAMES)
@@ -104,7 +104,7 @@ def _keeping(
 def _judged(
     rig: Rig, last: Step | None, kept: list[Sequence[Frame | Loss | None]]
 ) -> dict[str, Any]:
-    """Say of every view what it shows, and what it lacks."""
+    """Return the result of every view, with problems."""
     views = []
     for k, view in enumerate(rig.views):
         seen = {} if last is None else _seen(last.observations[k])
@@ -117,7 +117,7 @@ def _judged(
 
 
 def held_wrong(view: View, start: Start, frames: Sequence[Frame]) -> str:
-    """Return what is wrong with a hand that is held up to a template, or empty words.
+    """Return what is wrong with a hand that is held up to a template; empty if nothing is.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def held_wrong(view: View, start: Start, frames: Sequence[Frame]) -> str:
     start
         Its template.
     frames
-        One or more, in time.
+        One or more frames, in order.
     """
     readings = read_hand(list(frames), start)
     height, width = frames[0].image.shape[:2]
@@ -135,7 +135,7 @@ def held_wrong(view: View, start: Start, frames: Sequence[Frame]) -> str:
 
 
 def _seen(seen: Observation) -> dict[str, Any]:
-    """Return what a view shows of the hand, in pixels of its frames, fit for JSON."""
+    """Return the hand in a view, in pixels of its frames, as JSON values."""
     if seen.frame is None:
         return {"words": seen.reasons[0]}
     height, width = seen.frame.image.shape[:2]
@@ -160,7 +160,7 @@ def _seen(seen: Observation) -> dict[str, Any]:
 
 
 def _polylines(points: NDArray[np.float64]) -> list[list[float]]:
-    """Return a line with gaps as its parts, each flat x, y, x, y."""
+    """Return the parts of a line with gaps, each flat x, y, x, y."""
     parts = np.split(points, np.flatnonzero(np.isnan(points).any(axis=1)))
     kept = (part[np.isfinite(part).all(axis=1)] for part in parts)
     return [np.round(part, 1).ravel().tolist() for part in kept if len(part) > 1]

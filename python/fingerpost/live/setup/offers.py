@@ -1,4 +1,4 @@
-"""What may become a view: cameras, seen live, and recordings."""
+"""Sources that may become views: live cameras, and recordings."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ FILMS = frozenset({".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpg", ".mts", ".web
 MOST_OFFERS = 12
 
 KEPT_FRAMES = 2
-"""Frames of each source that are kept to be judged: noise shows between them."""
+"""Number of frames kept of each source, to assess it: their difference shows the noise."""
 
-_FIRST_FRAMES = 25  # of which some shall be sound
+_FIRST_FRAMES = 25  # of which some must be intact
 _SHOWN_EVERY_S = 0.2
 _END_S = 2.0
 
@@ -38,11 +38,11 @@ class Offer:
     Attributes
     ----------
     name
-        What the view will be called.
+        Name of the future view.
     source
-        As a rig file has it.
+        Source as in a rig file.
     frames
-        The newest of a camera, the first of a recording.
+        The newest frames of a camera, the first of a recording.
     problem
         Why it cannot be used; empty if it can.
     is_live
@@ -57,17 +57,17 @@ class Offer:
 
     @property
     def image(self) -> NDArray[np.uint8] | None:
-        """Its newest picture; None where there is none."""
+        """Its newest picture; None without one."""
         return self.frames[-1].image if self.frames else None
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Width and height of its frames; 0 where there are none."""
+        """Width and height of its frames; 0 without one."""
         image = self.image
         return (0, 0) if image is None else (image.shape[1], image.shape[0])
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it fit for JSON, without pictures."""
+        """Return it as JSON values, without pictures."""
         return {
             "name": self.name,
             "source": str(self.source),
@@ -78,12 +78,12 @@ class Offer:
 
 
 class Offers:
-    """The sources that are offered, in a list that only grows; cameras are open while it lasts.
+    """The offered sources, in a list that only grows; cameras stay open during its lifetime.
 
     Parameters
     ----------
     show
-        Called with an offer's place and a JPEG of it, whenever there is a new one.
+        Called with an offer's index and a JPEG of it, whenever there is a new one.
     """
 
     def __init__(self, show: Callable[[int, bytes], None]) -> None:
@@ -99,10 +99,10 @@ class Offers:
         return len(self.each)
 
     def add(self, sources: Iterable[str | int]) -> list[int]:
-        """Offer sources, and show a picture of each; return their places.
+        """Offer sources, and show a picture of each; return their indices.
 
-        One that cannot be read is offered with what is wrong with it. Those that are offered
-        already keep their place.
+        An unreadable source is offered with its problem. Sources that are already offered keep
+        their index.
         """
         places = []
         for source in sources:
@@ -139,7 +139,7 @@ class Offers:
             self._take(place, opened)
 
     def _take(self, place: int, opened: Source) -> None:
-        """Keep the first sound frames of a recording."""
+        """Store the first intact frames of a recording."""
         offer = self.each[place]
         try:
             for frame in islice(opened, _FIRST_FRAMES):
@@ -155,7 +155,7 @@ class Offers:
         self._show(place, encoded(offer.frames[-1].image))
 
     def _watch(self, place: int, opened: Source) -> None:
-        """Show what a camera sees: the life of a thread."""
+        """Show the pictures of a camera: the body of a thread."""
         offer, shown_s = self.each[place], 0.0
         try:
             with opened:
@@ -172,7 +172,7 @@ class Offers:
             offer.problem = _problem(error, offer)
 
     def pause(self) -> None:
-        """Let go of all cameras, for others to open them."""
+        """Release all cameras, so that others can open them."""
         self._ends.set()
         for thread in self._threads:
             thread.join(_END_S)
@@ -201,7 +201,7 @@ def _problem(error: FingerpostError, offer: Offer) -> str:
 
 
 def sources_in(folder: Path) -> list[str | int]:
-    """Return what a folder and the machine have: cameras first, then recordings by name."""
+    """Return the machine's cameras, then the recordings of a folder by name."""
     films = sorted(path for path in folder.iterdir() if path.suffix.lower() in FILMS)
     cameras: list[str | int] = [camera.number for camera in list_cameras()]
     return [*cameras, *(str(path.absolute()) for path in films)]

@@ -1,7 +1,7 @@
-"""The working plane as the views show it: references found, errors to be expected, what is wrong.
+"""The working plane in the views: detected references, expected errors, and problems.
 
-References are found by the functions of `fingerpost init`, errors are expected by those of
-`fingerpost advise`, and what is wrong is said by those of `fingerpost doctor`.
+References are detected by the functions of `fingerpost init`, errors are predicted by those of
+`fingerpost advise`, and problems are found by those of `fingerpost doctor`.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ from fingerpost.references import MarkersMeter, size_scores
 from fingerpost.setting_up import UNIT, reference_of
 
 MAT = "400x400"
-"""What a square is taken for until somebody says how large it is."""
+"""Assumed size of a square until the user states another."""
 
 GUESSED = ("A4", "credit-card", MAT)
-"""Planes whose aspect ratios pictures show to be different, the usual one first: letter and A3 are
-too nearly A4."""
+"""Planes that can be distinguished by their aspect ratios in pictures, the most usual first: letter
+and A3 are too similar to A4."""
 
 MARKERS = "markers"
 
 UNCHANGED_PX = 0.05
-"""A point that came back from a page within this of where it was found is the found one."""
+"""Greatest distance at which a point returned by a page is still the detected one."""
 
-# As fine as a person reads a map, at a third of a second.
+# A resolution sufficient for a map, in a third of a second.
 _ADVICE = AdviceOptions(cells=5, sectors=12, samples=40)
-_EXPECTED = (Concern.FOCAL_LENGTH,)  # said of nearly every camera; nothing can be done about it
+_EXPECTED = (Concern.FOCAL_LENGTH,)  # applies to nearly every camera, without a remedy
 _MOST_WORDS = 5
 
 Covariance = tuple[float, float, float]
@@ -63,9 +63,9 @@ class Points:
     Attributes
     ----------
     points_px
-        (u, v) of each; empty where none are known.
+        (u, v) of each; empty if unknown.
     covariances_px2
-        (uu, uv, vv) of each; None where a person placed one of them.
+        (uu, uv, vv) of each; None if a person placed one of them.
     """
 
     points_px: tuple[Pair, ...] = ()
@@ -73,14 +73,14 @@ class Points:
 
     @property
     def sigma_px(self) -> float:
-        """Standard deviation of the worst point in its worst direction."""
+        """Greatest standard deviation of any point in any direction."""
         if self.covariances_px2 is None:
             return DEFAULT_REFERENCE_SIGMA_PX
         matrices = np.array([[[uu, uv], [uv, vv]] for uu, uv, vv in self.covariances_px2])
         return float(np.sqrt(np.linalg.eigvalsh(matrices).max()))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return them fit for JSON."""
+        """Return them as JSON values."""
         return {
             "points": [[round(u, 2), round(v, 2)] for u, v in self.points_px],
             "sigma": round(self.sigma_px, 3) if self.points_px else None,
@@ -90,18 +90,18 @@ class Points:
 
 @dataclass(eq=False, slots=True)
 class Table:
-    """Views and plane as they stand.
+    """Present views and plane.
 
     Attributes
     ----------
     plane
-        What lies on the table, as `reference_of` reads it.
+        Reference on the table, as parsed by `reference_of`.
     chosen
-        The views, as a page chose them.
+        The views that a page has chosen.
     points
         Their reference points.
     missing
-        What is not found in which view, and what would help.
+        Missing reference and remedy, by view.
     """
 
     plane: str = ""
@@ -115,12 +115,12 @@ class Table:
         return len(self.chosen) >= 2 and all(each.points_px for each in self.points)
 
     def arrange(self, wanted: Arrange, offers: Offers) -> None:
-        """Take views and plane as a page has them; find what it lacks, if it wants that.
+        """Set views and plane from a page; search for missing references if requested.
 
         Raises
         ------
         InvalidInputError
-            A view that is not offered, or a plane that is none.
+            A view that is not offered, or an invalid plane.
         """
         for view in wanted.views:
             if not 0 <= view.offer < len(offers) or offers[view.offer].problem:
@@ -130,7 +130,7 @@ class Table:
                     f"{len(view.points_px)} reference points; the four corners are needed"
                 )
         if wanted.plane:
-            reference_of(wanted.plane)  # refuses what is none
+            reference_of(wanted.plane)  # refuses an invalid one
         before = {view.offer: points for view, points in zip(self.chosen, self.points, strict=True)}
         is_same_kind = wanted.plane.startswith(MARKERS) == self.plane.startswith(MARKERS)
         self.chosen = wanted.views
@@ -156,7 +156,7 @@ class Table:
         found = search.look(pictures)
         self.missing = search.missing
         if self.missing and len(self.missing) < len(rig.views):
-            # Those that do show it agree among themselves.
+            # Use the views that do show it.
             shown = [k for k in range(len(rig.views)) if k not in self.missing]
             part = structs.replace(rig, views=tuple(rig.views[k] for k in shown))
             found = ReferenceSearch(part).look({i: pictures[k] for i, k in enumerate(shown)})
@@ -173,12 +173,12 @@ class Table:
                 )
 
     def rig(self, offers: Offers) -> Rig:
-        """Return the rig, complete.
+        """Return the complete rig.
 
         Raises
         ------
         InvalidInputError
-            It cannot point; the message says why.
+            `Pointer` refuses it; the message says why.
         """
         if not self.is_complete:
             raise InvalidInputError("two views or more are needed, with four corners in each")
@@ -197,11 +197,11 @@ class Table:
         )
         plane = Plane(unit=UNIT, points=corners_of(sides_of(reference.size, UNIT)))
         rig = Rig(plane=plane, views=views)
-        Pointer(rig)  # refuses what cannot point
+        Pointer(rig)  # refuses an unusable rig
         return rig
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it fit for JSON."""
+        """Return it as JSON values."""
         sides = sides_of(reference_of(self.plane).size, UNIT) if self.plane else None
         return {
             "plane": self.plane,
@@ -214,7 +214,7 @@ class Table:
 
 
 def _kept(view: Chosen, before: Points | None, *, is_same_kind: bool) -> Points:
-    """Return a view's points: those that were found, unless a person has moved one of them."""
+    """Return a view's points: the detected ones, unless a person has moved one of them."""
     if not view.points_px or before is None or before.covariances_px2 is None:
         return Points(view.points_px)
     off_px = np.abs(np.subtract(view.points_px, before.points_px)).max()
@@ -236,7 +236,7 @@ def _start(view: Chosen) -> Start | None:
 def _open_rig(
     plane: str, chosen: Sequence[Chosen], points: Sequence[Points], offers: Offers
 ) -> Rig:
-    """Return a rig in which the references of views without points are to be found."""
+    """Return a rig in which the references of views without points must be detected."""
     reference: RectangleReference | MarkersReference = reference_of(plane)
     views = tuple(
         View(
@@ -253,7 +253,7 @@ def _open_rig(
 
 
 def guessed(pictures: Sequence[NDArray[np.uint8]]) -> str:
-    """Return what most likely lies on the table, as `reference_of` reads it.
+    """Return the most likely reference on the table, as parsed by `reference_of`.
 
     A sheet of markers is recognised in any picture. Rectangles are recognised by their aspect
     ratio in all pictures together; their size is the usual one of that shape.
@@ -270,24 +270,24 @@ def guessed(pictures: Sequence[NDArray[np.uint8]]) -> str:
 
 
 def planes() -> list[str]:
-    """Return the planes that have a name, and the square."""
+    """Return the named planes, and the square."""
     names = {"a4": "A4", "a3": "A3"}
     return [*(names.get(name, name) for name in SIZES_MM), MAT, MARKERS]
 
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """Something to know about the set-up, for people.
+    """A message on the set-up, for the user.
 
     Attributes
     ----------
     severity
-        "error" where it prevents pointing, "warning" where it costs accuracy, "advice" where it
-        would be better otherwise.
+        "error" if it prevents pointing, "warning" if it reduces accuracy, "advice" for a possible
+        improvement.
     view
         Name of the view; empty for all.
     text
-        What, and what would be right.
+        The problem and its remedy.
     """
 
     severity: str
@@ -296,7 +296,7 @@ class Words:
 
 
 def scene_of_plane(rig: Rig) -> dict[str, Any]:
-    """Return what the plan of a rig's plane shows, as the live page gets it, fit for JSON."""
+    """Return the plan of a rig's plane, in the format of the live page, as JSON values."""
     pointer = Pointer(rig)
     return RigScene.of(
         "", rig.plane.unit, pointer.plane_views, rig.sources, is_live=False, frames=None
@@ -304,14 +304,14 @@ def scene_of_plane(rig: Rig) -> dict[str, Any]:
 
 
 def judged(rig: Rig, offers: Sequence[Offer]) -> tuple[dict[str, Any] | None, list[Words]]:
-    """Return the errors to be expected, fit for JSON, and what is wrong, the gravest first.
+    """Return the expected errors, as JSON values, and the problems, the gravest first.
 
     Parameters
     ----------
     rig
-        As `Table.rig`.
+        Rig from `Table.rig`.
     offers
-        Those of its views.
+        Offers of its views.
     """
     frames = [list(offer.frames) for offer in offers]
     words = [
@@ -343,10 +343,10 @@ def judged(rig: Rig, offers: Sequence[Offer]) -> tuple[dict[str, Any] | None, li
 
 
 def _without_starts(rig: Rig) -> tuple[View, ...]:
-    """Return the views without their templates: the hand has a step of its own."""
+    """Return the views without their templates: the hand is a separate step."""
     return tuple(structs.replace(view, start=None) for view in rig.views)
 
 
 def _rounded(error: float) -> float | None:
-    """Return an error as it is shown; None where there is none to be expected."""
+    """Round an error for display; None if no error can be predicted."""
     return float(f"{error:.3g}") if math.isfinite(error) else None

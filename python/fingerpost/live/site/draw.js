@@ -1,4 +1,4 @@
-// Elements of SVG, and shapes as they come: lists of polylines, each flat x, y, x, y, ...
+// SVG elements and shapes; shapes are lists of polylines, each a flat x, y, x, y, ...
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -17,7 +17,7 @@ export function html(tag, className, parent, text = "") {
   return element;
 }
 
-// The attribute `d` of a path through polylines; `map` takes a point to where it is drawn.
+// The attribute `d` of a path through polylines; `map` transforms points to drawing coordinates.
 export function path(polylines, map = null, closed = false) {
   let d = "";
   for (const line of polylines ?? []) {
@@ -30,7 +30,7 @@ export function path(polylines, map = null, closed = false) {
   return d;
 }
 
-// Ends of search lines come as x, y, x, y each.
+// Line segments from a flat list, x, y, x, y for each.
 export function segments(flat) {
   let d = "";
   for (let i = 0; i + 3 < flat.length; i += 4) {
@@ -40,7 +40,7 @@ export function segments(flat) {
   return d;
 }
 
-// Dots of a round line cap.
+// Dots, drawn as lines of length zero with round caps.
 export function dots(flat, map = null) {
   let d = "";
   for (let i = 0; i + 1 < flat.length; i += 2) {
@@ -65,7 +65,7 @@ export function place(element, point, scale = 1) {
   if (point) element.setAttribute("transform", `translate(${round(point[0])} ${round(point[1])}) scale(${scale})`);
 }
 
-// The indicated point: dark ring, light ring, its colour.
+// The mark of the indicated point: dark ring, light ring, coloured core.
 export function pointMark(parent) {
   const group = make("g", { class: "point-mark" }, parent);
   make("circle", { r: 7.5, class: "casing" }, group);
@@ -74,7 +74,7 @@ export function pointMark(parent) {
   return group;
 }
 
-// A number in a disc beside a reference point, away from the middle of all of them.
+// A reference point with its number in a disc, offset away from the centroid of all points.
 export function numbered(parent, number) {
   const group = make("g", { class: "numbered" }, parent);
   make("circle", { r: 3, class: "dot" }, group);

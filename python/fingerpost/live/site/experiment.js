@@ -1,4 +1,4 @@
-// An experiment: targets in random order, the error of each, and what they come to.
+// An experiment: targets in random order, the error of each, and summary statistics.
 
 import { crosses, dots, html, make, path } from "./draw.js";
 import { drawRing } from "./robot.js";
@@ -95,7 +95,7 @@ export class Experiment {
   }
 }
 
-// The target that is to be pointed at; of those that are done, the error and its 95 % ellipse.
+// The current target; errors and 95 % ellipses of the completed ones.
 export class TargetsOnPlan {
   attach(plan) {
     this.plan = plan;

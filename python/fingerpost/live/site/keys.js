@@ -1,4 +1,4 @@
-// The keyboard, from anywhere on the page. What stops comes before everything else.
+// Keyboard shortcuts of the whole page. Stop keys have priority.
 
 const FRAMES_AT_ONCE = 25;
 
@@ -22,7 +22,7 @@ export function bindKeys(does) {
     if (sets()) return void does.setUp(event);
     if (event.key === " " || event.key === "Escape") {
       does.stop();
-      // A focused button is not pressed by it; Escape still closes what is open.
+      // Space must not press a focused button; Escape still closes dialogs.
       if (event.key === " ") event.preventDefault();
       return;
     }
@@ -35,6 +35,6 @@ export function bindKeys(does) {
     else return;
     event.preventDefault();
   }, true);
-  // Browsers press a focused button when the key comes up.
+  // Browsers press a focused button at keyup of the space bar.
   addEventListener("keyup", (event) => event.key === " " && !sets() && event.preventDefault(), true);
 }

@@ -1,11 +1,11 @@
-// The one connection: moments and states in, commands out; it comes back by itself.
+// The connection to the server: receives moments and states, sends commands, reconnects.
 
 const FIRST_PAUSE_MS = 300;
 const LONGEST_PAUSE_MS = 4000;
 
 export class Link {
   // onMoment(scene, pictures), onState(state), onRefused(words), onConnected(isConnected);
-  // withoutPictures leaves these undecoded.
+  // withoutPictures: pictures are not decoded.
   constructor(handlers) {
     this.handlers = handlers;
     this.pauseMs = FIRST_PAUSE_MS;
@@ -25,7 +25,7 @@ export class Link {
       this.handlers.onConnected(true);
     };
     socket.onmessage = ({ data }) => {
-      if (typeof data === "string") this.hear(JSON.parse(data));
+      if (typeof data === "string") this.receive(JSON.parse(data));
       else this.take(socket, data);
     };
     socket.onclose = () => {
@@ -40,12 +40,12 @@ export class Link {
     if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(command));
   }
 
-  hear(message) {
+  receive(message) {
     if (message.refused) this.handlers.onRefused(message.refused);
     if (message.state) this.handlers.onState(message.state);
   }
 
-  // Pictures are decoded beside the page's thread; then scene and pictures are drawn in one go.
+  // Decodes pictures asynchronously, then draws scene and pictures together.
   async take(socket, data) {
     const order = ++this.arrived;
     const length = new DataView(data).getUint32(0, true);
@@ -58,13 +58,13 @@ export class Link {
     });
     const pictures = await Promise.all(blobs.map((blob) => blob && createImageBitmap(blob)));
     const acknowledge = () => socket === this.socket && this.send({ do: "ack" });
-    // Pictures may be decoded in another order than they came in: what is older is past.
+    // Decoding may finish out of order; moments older than the newest are dropped.
     if (Math.max(this.drawn, this.waiting?.order ?? 0) > order) {
       for (const picture of pictures) picture?.close();
       acknowledge();
       return;
     }
-    // The one before it, if it was not drawn yet, never will be.
+    // A waiting moment that is not drawn yet is replaced.
     if (this.waiting) {
       for (const picture of this.waiting.pictures) picture?.close();
       this.waiting.acknowledge();

@@ -1,4 +1,4 @@
-// The operator's page: one connection, one stage, one line that is read first.
+// The operator's page: connection, stage and status line.
 
 import { Experiment } from "./experiment.js";
 import { bindKeys } from "./keys.js";
@@ -12,7 +12,7 @@ import { Bookmarks, Timeline } from "./timeline.js";
 const $ = (id) => document.getElementById(id);
 const REFUSED_FOR_MS = 5000;
 
-// The token is in a cookie from here on; an address that is copied or seen gives nothing away.
+// From here on the token is in a cookie; a copied or visible address does not disclose it.
 if (location.search) history.replaceState(null, "", location.pathname);
 
 const stage = new Stage($("stage"));
@@ -38,28 +38,28 @@ function onMoment(scene, pictures) {
   if (document.activeElement !== $("scrub") || !scrubbing) $("scrub").value = scene.number;
 }
 
-function onState(told) {
-  if (told.rig) openRig(told.rig);
-  state = told;
-  document.documentElement.classList.toggle("setting-up", Boolean(told.setup));
-  if (told.setup) return setUp.show(told.setup);
+function onState(received) {
+  if (received.rig) openRig(received.rig);
+  state = received;
+  document.documentElement.classList.toggle("setting-up", Boolean(received.setup));
+  if (received.setup) return setUp.show(received.setup);
   setUp.hide();
   if (!rig) return;
-  robot.show(told.arm, told.controls);
-  experiment.show(told.experiment, !told.setup);
-  timeline.take(told);
-  bookmarks.setTotal(told.total);
-  statusLine.isPlaying = told.playing;
-  statusLine.stand(rig.live && !told.playing && !told.ended);
-  statusLine.latency(told.latency_ms);
-  $("scrub").max = Math.max(told.total - 1, 0);
-  showPlaying(told.playing);
-  showNotes(told.notes);
+  robot.show(received.arm, received.controls);
+  experiment.show(received.experiment, !received.setup);
+  timeline.take(received);
+  bookmarks.setTotal(received.total);
+  statusLine.isPlaying = received.playing;
+  statusLine.stand(rig.live && !received.playing && !received.ended);
+  statusLine.latency(received.latency_ms);
+  $("scrub").max = Math.max(received.total - 1, 0);
+  showPlaying(received.playing);
+  showNotes(received.notes);
   showMessage();
 }
 
-function openRig(told) {
-  rig = told;
+function openRig(opened) {
+  rig = opened;
   document.documentElement.classList.toggle("live", rig.live);
   document.title = `${rig.title} – fingerpost`;
   stage.open(rig);
@@ -103,7 +103,7 @@ function showPlaying(playing) {
   $("play").disabled = ended;
 }
 
-// One line, the most urgent thing in it.
+// The most urgent message, in one line.
 function showMessage() {
   let words = "";
   if (!isConnected) words = "No connection to fingerpost. If it was started anew, open the address that it prints.";
@@ -125,7 +125,7 @@ function showNotes(notes) {
   $("notes").replaceChildren(...said.map((note) => Object.assign(document.createElement("li"), { textContent: note })));
 }
 
-// --- what an operator does -------------------------------------------------------------------
+// --- operator actions ------------------------------------------------------------------------
 
 let scrubbing = false;
 const stop = () => {

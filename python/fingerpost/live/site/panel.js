@@ -1,4 +1,4 @@
-// What views and plan have in common: a title, a status at its right, a body.
+// Base of views and plan: a title, a status at its right, a body.
 
 import { html, make } from "./draw.js";
 
@@ -34,7 +34,7 @@ export class Panel {
     this.word.textContent = WORDS[word] ?? word;
   }
 
-  // Takes the place of a rectangle of the stage.
+  // Moves the panel to a rectangle of the stage.
   put({ left, top, width, height }, emphasis) {
     Object.assign(this.element.style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
     this.emphasis = emphasis;

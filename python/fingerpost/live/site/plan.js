@@ -32,7 +32,7 @@ export class PlanPanel extends Panel {
     this.ellipse = make("path", { class: "ellipse" }, this.window);
     this.point = pointMark(this.window);
     this.arrow = make("path", { class: "arrow" }, this.window);
-    // What else is drawn on the plan: each has draw(), called when the plan or its moment changes.
+    // Further layers, whose draw() is called when the plan or its moment changes.
     this.layers = [];
   }
 
@@ -44,7 +44,7 @@ export class PlanPanel extends Panel {
     });
   }
 
-  // Extent of the reference points as they lie on the plan: width over height.
+  // Aspect ratio of the extent of the reference points on the plan.
   get aspect() {
     const [width, height] = this.extent();
     return width / height;
@@ -68,7 +68,7 @@ export class PlanPanel extends Panel {
     const margin = this.margin = Object.fromEntries(Object.entries(MARGIN).map(([side, px]) => [side, px * Math.min(this.emphasis, 1.5)]));
     this.inner = [width - margin.left - margin.right, height - margin.top - margin.bottom];
     const extent = this.extent();
-    // Room for the numbers of the reference points, and for what lies a little beyond them.
+    // Margin for the numbers of the reference points and for points slightly beyond them.
     const room = this.inner.map((side) => Math.max(Math.min(side / (1 + 2 * BORDER), side - 2 * LABEL_ROOM_PX * this.emphasis), side / 4));
     this.pxPerUnit = Math.min(room[0] / extent[0], room[1] / extent[1]);
     this.map = (x, y) => {
@@ -105,8 +105,8 @@ export class PlanPanel extends Panel {
     this.drawAxes(margin);
   }
 
-  // A target is all that lies within its radius of its corners and what they enclose: a line as
-  // wide as that about a filled shape, with round corners; about a single point, a disc.
+  // A target is the set of points within its radius of a polygon: a filled shape with a wide stroke
+  // and round corners. For a single point it is a disc.
   drawTargets() {
     this.rig.targets.forEach(({ corners, radius }, k) => {
       const shape = corners.length > 1 ? path([corners.flat()], this.map, true) : dots(corners.flat(), this.map);
@@ -141,7 +141,7 @@ export class PlanPanel extends Panel {
     make("text", { x, y, "text-anchor": anchor }, this.axes).textContent = String(words).replace("-", "−");
   }
 
-  // Round numbers along an axis of the plane, each with its place on the plan's row or column.
+  // Round numbers along an axis of the plane, each with its position along the plan's edge [px].
   ticks(axis, row, length) {
     const sign = this.rig.turn[row][axis];
     const rough = Math.max(Math.min(...this.inner) / TICKS, TICK_PX * this.emphasis) / this.pxPerUnit;
@@ -188,7 +188,7 @@ export class PlanPanel extends Panel {
     this.drawLayers();
   }
 
-  // An arrow at the border, where the point lies outside of what is shown.
+  // An arrow at the border towards a point outside the visible area.
   pointer(at) {
     const middle = this.inner.map((side) => side / 2);
     const away = [at[0] - middle[0], at[1] - middle[1]];

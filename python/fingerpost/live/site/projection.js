@@ -1,4 +1,4 @@
-// The plan alone, for a projector above the table: four corners are dragged onto the plane's own.
+// The plan alone, for a projector above the table; its corners are dragged onto those of the plane.
 
 import { html } from "./draw.js";
 import { TargetsOnPlan } from "./experiment.js";
@@ -42,7 +42,7 @@ function open(rig) {
   layOut();
 }
 
-// The plan is drawn as large as the window, then warped.
+// The plan is drawn at the size of the window, then warped.
 function layOut() {
   if (!plan) return;
   plan.put({ left: 0, top: 0, width: innerWidth, height: innerHeight }, EMPHASIS);
@@ -50,8 +50,8 @@ function layOut() {
   warp();
 }
 
-// Where the corners of the plane are drawn in the window while nothing is warped: its reference
-// points if they are four, else the corners of the rectangle about them.
+// Positions of the plane's corners in the window without warping: its reference points if they are
+// four, else the corners of their bounding rectangle.
 function drawn() {
   sheet.style.transform = "";
   const { left, top } = plan.body.getBoundingClientRect();
@@ -110,7 +110,7 @@ const handles = [0, 1, 2, 3].map((k) => {
   return handle;
 });
 
-// Corners and words are seen while somebody is at them.
+// Corners and messages are visible during interaction.
 let timer = null;
 function wake() {
   document.documentElement.classList.add("awake");

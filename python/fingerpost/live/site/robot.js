@@ -1,4 +1,4 @@
-// The arm: armed by one command, moved by what is held down, stopped by everything else.
+// The arm: armed by a command, moved while a key or button is held, stopped by everything else.
 
 import { html, make, path, place, segments } from "./draw.js";
 import { setText } from "./status.js";
@@ -18,7 +18,7 @@ const ONCE = [
 ];
 
 export class Robot {
-  // send(command) to the server; refuse(words) tells the operator; element is an empty section.
+  // send(command) to the server; refuse(words) shows a refusal; element: an empty section.
   constructor(element, send, refuse) {
     this.element = element;
     this.send = send;
@@ -73,11 +73,11 @@ export class Robot {
     addEventListener("keyup", (event) => event.key.toLowerCase() === "m" && this.letGo("key"));
   }
 
-  // --- what is held --------------------------------------------------------------------------
+  // --- holding -------------------------------------------------------------------------------
 
   take(holder) {
     if (this.holder || !this.arm) return;
-    // The server decides; it may not have said yet that it has armed.
+    // The server decides; its confirmation of arming may not have arrived yet.
     if (!this.arm.armed && performance.now() > this.armedAt + ANSWER_MS) return this.refuse("The arm is not armed: press Arm (A), then hold.");
     if (!this.controls) return this.refuse("Another page has the control; C takes it over.");
     this.holder = holder;
@@ -86,7 +86,7 @@ export class Robot {
     this.draw();
   }
 
-  // Without a holder: whatever holds.
+  // Without an argument, any holder is released.
   letGo(holder = this.holder) {
     if (!this.holder || holder !== this.holder) return;
     clearInterval(this.beats);
@@ -104,7 +104,7 @@ export class Robot {
     if (this.arm && !this.buttons[wish]?.disabled) this.send({ do: "robot", what: wish });
   }
 
-  // --- what is shown -------------------------------------------------------------------------
+  // --- display -------------------------------------------------------------------------------
 
   attach(plan) {
     this.layer.attach(plan);
@@ -151,7 +151,7 @@ function button(parent, name, words, key, title) {
   return element;
 }
 
-// The arm from above, the region that it may not leave, and the ring that fills while a hand stays.
+// The arm from above, its safe region, and the progress ring of a dwell.
 export class ArmOnPlan {
   attach(plan) {
     this.plan = plan;
@@ -183,7 +183,7 @@ export class ArmOnPlan {
       part.setAttribute("d", radius ? segments([...plan.map(x1, y1), ...plan.map(x2, y2)]) : "");
       part.style.strokeWidth = `${2 * (radius ?? 0) * plan.pxPerUnit}px`;
     });
-    // A rig with an arm has the arm's own X and Y in metres for its plane.
+    // The plane of a rig with an arm has the arm's X and Y in metres.
     place(this.gripper, arm.pose_mm && plan.map(arm.pose_mm[0] / 1000, arm.pose_mm[1] / 1000), plan.emphasis);
     this.block.setAttribute("d", arm.block ? path([arm.block.flat()], plan.map, true) : "");
     place(this.place, arm.place && plan.map(...arm.place), plan.emphasis);
@@ -191,7 +191,7 @@ export class ArmOnPlan {
   }
 }
 
-// How much of a stay has passed, about the indicated point or another place of the window.
+// The elapsed fraction of a dwell, around the indicated point or another position in the window.
 export function drawRing(ring, plan, share, place = null) {
   const at = share > 0 && plan.last?.point ? place ?? plan.map(...plan.last.point) : null;
   ring.style.display = at ? "" : "none";

@@ -1,4 +1,4 @@
-// Set-up without typing, in five steps; each can be left and come back to.
+// Set-up without typing, in five steps that can be visited in any order.
 
 import { html } from "./draw.js";
 import { legend, SetUpPlan } from "./setup_plan.js";
@@ -33,7 +33,7 @@ export class SetUp {
     this.send = send;
     this.offers = [];
     this.picked = [];
-    this.awaited = new Set(); // dropped recordings, not offered yet
+    this.awaited = new Set(); // dropped recordings that are not offered yet
     this.step = "views";
     this.refused = { words: "", until: 0 };
     this.plan = new SetUpPlan($("setup-plan"));
@@ -67,7 +67,7 @@ export class SetUp {
     return { button, found };
   }
 
-  // --- what a step asks for -------------------------------------------------------------------
+  // --- controls of the steps ------------------------------------------------------------------
 
   buildAsks() {
     const asks = $("asks");
@@ -140,7 +140,7 @@ export class SetUp {
     this.say();
   }
 
-  // --- what is known --------------------------------------------------------------------------
+  // --- state ----------------------------------------------------------------------------------
 
   show(setup) {
     const isOtherPlane = this.state?.table.plane !== setup.table.plane;
@@ -168,7 +168,7 @@ export class SetUp {
     this.say();
   }
 
-  // A page that comes later, or again, finds the views that were picked.
+  // Restores the picked views on a page that is opened later or again.
   restore(setup) {
     for (const { offer } of setup.table.views) this.pick(offer);
     if (setup.table.views.length >= 2 && !this.hasChosen) this.enter("table");
@@ -273,7 +273,7 @@ export class SetUp {
     });
   }
 
-  // --- what is sent ---------------------------------------------------------------------------
+  // --- commands -------------------------------------------------------------------------------
 
   get open() {
     return this.picked.filter((view) => view.points.length < CORNERS);
@@ -295,7 +295,7 @@ export class SetUp {
     this.say();
   }
 
-  // --- where one is ---------------------------------------------------------------------------
+  // --- navigation -----------------------------------------------------------------------------
 
   go(by) {
     const k = STEPS.findIndex(([step]) => step === this.step) + by;
@@ -343,7 +343,7 @@ export class SetUp {
     event.preventDefault();
   }
 
-  // --- what is said ---------------------------------------------------------------------------
+  // --- messages -------------------------------------------------------------------------------
 
   say() {
     if (!this.state) return;

@@ -1,10 +1,10 @@
-// The plan while a rig is set up: errors to be expected on the plane, and places to point at.
+// The plan during set-up: expected errors on the plane, and places to point at.
 
 import { html, make, path, place } from "./draw.js";
 import { PlanPanel } from "./plan.js";
 
 const RAMP = ["#2b6a8e", "#3fa89c", "#c4c85e", "#f09e3c", "#d8554a"];
-const OCTAVES = 2; // either way from the usual error
+const OCTAVES = 2; // on either side of the median error
 const RING_PX = 22;
 
 export class SetUpPlan {
@@ -13,7 +13,7 @@ export class SetUpPlan {
     new ResizeObserver(() => this.layOut()).observe(parent);
   }
 
-  // scene: as the live page gets it; advice: the map of errors; aim: places and what was indicated
+  // scene: as on the live page; advice: the map of errors; aim: places and indicated points
   show(scene, advice, aim) {
     const known = JSON.stringify(scene);
     if (known !== this.known) {
@@ -99,7 +99,7 @@ class ErrorMap extends PlanPanel {
   }
 }
 
-// The colours of errors, from small to large.
+// Legend of the colours of errors.
 export function legend(parent, advice) {
   parent.replaceChildren();
   if (!advice) return;

@@ -1,5 +1,5 @@
-// A view that is set up: its picture, four corners that can be dragged, the hand that was found,
-// and a template that the hand is held up to.
+// A view during set-up: picture, four draggable corners, the detected hand, and a template to hold
+// the hand up to.
 
 import { awayFrom, html, make, middleOf, path, place } from "./draw.js";
 import { setText } from "./status.js";
@@ -12,14 +12,14 @@ const GRIP_PX = 22;
 const FAR_PX = 10;
 const TURN_DEG = 3;
 const SCALE = 1.05;
-const LENGTH_SHARE = 0.25; // of the picture's height: a template before anybody has scaled it
+const LENGTH_SHARE = 0.25; // initial length of a template, relative to the picture's height
 const START_INSET = 0.3;
 
 const $ = (id) => document.getElementById(id);
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export class SetUpView {
-  // changed(): corners or template are others
+  // changed(): called after a change of corners or template
   constructor(parent, offer, number, templates, changed) {
     Object.assign(this, { offer, number, templates, changed });
     this.size = offer.size;
@@ -70,7 +70,7 @@ export class SetUpView {
     });
   }
 
-  // What a step needs: corners in the step of the table, hand and template in that of the hand.
+  // Shows corners in the table step, hand and template in the hand step.
   enter(step) {
     this.step = step;
     this.element.dataset.step = step;
@@ -80,7 +80,7 @@ export class SetUpView {
 
   // --- corners ---
 
-  // Found corners come from the program; those that a person placed stay.
+  // Takes corners detected by the program; corners placed by hand are kept.
   take({ points, sigma, found, missing }) {
     this.accuracy = found ? `found ± ${sigma} px` : `by hand, ± ${sigma} px`;
     this.missing = missing;
@@ -127,7 +127,7 @@ export class SetUpView {
     }
   }
 
-  // Pixels of the view under the pointer.
+  // Pixel coordinates of the pointer in the view.
   at(event) {
     const point = new DOMPoint(event.clientX, event.clientY).matrixTransform(this.svg.getScreenCTM().inverse());
     return this.within([point.x, point.y]);
@@ -220,7 +220,7 @@ export class SetUpView {
     this.template.addEventListener("keydown", (event) => this.nudge(event));
   }
 
-  // The grip is the knuckle: dragged, it turns and scales about the tip.
+  // Dragging the knuckle rotates and scales the template about its tip.
   drag({ at, held, turns }, now) {
     if (!turns) this.held.tip_px = this.within(held.tip_px.map((value, axis) => value + now[axis] - at[axis]));
     else {
@@ -244,7 +244,7 @@ export class SetUpView {
     this.settled = setTimeout(() => this.changed(), 400);
   }
 
-  // A template as the hand was found, or in the middle.
+  // Places a template at the detected hand, or in the middle.
   hold(thumb) {
     const [width, height] = this.size;
     const { tip, finger, length } = this.seen ?? {};

@@ -1,4 +1,4 @@
-// Where views and plan stand: of all ways to lay them out, the one that shows most.
+// Layout of views and plan: of three arrangements, the one that shows most.
 
 import { PlanPanel } from "./plan.js";
 import { ViewPanel } from "./view.js";
@@ -43,7 +43,7 @@ export class Stage {
     }
   }
 
-  // Shows one panel alone, by its place from 1; 0 shows all, as does the one that is alone already.
+  // Shows one panel alone, by its number from 1; 0, or the panel already alone, shows all.
   focus(number) {
     if (number > this.panels.length) return;
     this.alone = number === 0 || this.alone === number - 1 ? null : number - 1;
@@ -92,7 +92,7 @@ export class Stage {
   }
 }
 
-// Views one above the other, the plan at their right.
+// Views in a column, the plan at their right.
 function column(width, height, count, aspect, planAspect) {
   const extra = HEAD_PX + CAPTION_PX;
   const room = (height - (count - 1) * GAP_PX) / count - extra;
@@ -103,7 +103,7 @@ function column(width, height, count, aspect, planAspect) {
   return judged(views, { left: wide + GAP_PX, top: 0, width: width - wide - GAP_PX, height: Math.max(total, Math.min(height, width - wide)) - CAPTION_PX }, extra, planAspect);
 }
 
-// Views side by side, the plan below.
+// Views in a row, the plan below.
 function row(width, height, count, aspect, planAspect) {
   const extra = HEAD_PX + CAPTION_PX;
   const wide = Math.min((width - (count - 1) * GAP_PX) / count, (0.55 * height - extra) * aspect);
@@ -113,7 +113,7 @@ function row(width, height, count, aspect, planAspect) {
   return judged(views, { left: 0, top: each, width, height: height - each }, extra, planAspect);
 }
 
-// Views and plan side by side.
+// Views and plan in one row.
 function line(width, height, count, aspect, planAspect) {
   const extra = HEAD_PX + CAPTION_PX;
   const wide = Math.min((width - count * GAP_PX) / (count + 1), (height - extra) * aspect);
@@ -124,7 +124,7 @@ function line(width, height, count, aspect, planAspect) {
   return judged(views, { left, top: 0, width: width - left, height: Math.min(height, Math.max(each - CAPTION_PX, wanted)) }, extra, planAspect);
 }
 
-// The merit of a layout: how large everything is shown, none of it at the cost of another.
+// The merit of a layout: sum of the log areas of plan and, on average, views.
 function judged(views, plan, extra, planAspect) {
   const area = ({ width, height }) => Math.max(width * (height - extra), 1);
   const scale = Math.min((plan.width - PLAN_MARGIN_PX[0]) / planAspect, plan.height - HEAD_PX - PLAN_MARGIN_PX[1]);

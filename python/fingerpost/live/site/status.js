@@ -1,4 +1,4 @@
-// The line that is read first, and the figures beside it.
+// The status line, and the figures beside it.
 
 const SHOWN_EVERY_MS = 100;
 const RATE_OVER_MS = 2000;
@@ -19,7 +19,7 @@ export class StatusLine {
   open(rig) {
     $("unit").textContent = rig.unit;
     for (const sigma of document.querySelectorAll(".sigma")) sigma.dataset.unit = rig.unit;
-    // As wide as the widest number of the plane and a little beyond it.
+    // As wide as the widest number on the plane, 20 % of its extent included on either side.
     const values = rig.points.flat();
     const [least, most] = [Math.min(...values), Math.max(...values)];
     const beyond = [least - 0.2 * (most - least), most + 0.2 * (most - least)];
@@ -55,7 +55,7 @@ export class StatusLine {
     setText($("rate"), this.rate());
   }
 
-  // Of cameras nothing is known while nobody looks; a recording stands at a moment that is known.
+  // Stopped cameras have no known state; a paused recording shows a known moment.
   stand(isStopped) {
     if (this.isStopped === isStopped) return;
     this.isStopped = isStopped;
@@ -91,7 +91,7 @@ export class StatusLine {
     return ((1000 * (last[0] - first[0])) / (last[1] - first[1])).toFixed(1);
   }
 
-  // Changes of status are spoken, numbers are not: they never end.
+  // Changes of status are announced to screen readers; numbers change too often.
   speak(head) {
     const words = head.point ? "ok: there is a point" : head.said;
     const now = performance.now();

@@ -1,5 +1,5 @@
-// Status over time, a row for each view and one for the point, its uncertainty, the place in it,
-// and the bookmarks of a recording.
+// Status over time, with a row for each view, one for the point and one for its uncertainty; cursor
+// and bookmarks of a recording.
 
 import { html } from "./draw.js";
 
@@ -26,7 +26,7 @@ export class Timeline {
     this.shown = -1;
   }
 
-  // The cursor goes with the picture (`move`), never ahead of it.
+  // The cursor moves with the picture (`move`), never ahead of it.
   take({ strip, total }) {
     const before = [this.rows[0]?.length, this.total].join();
     if (strip.rows.length) {
@@ -67,7 +67,7 @@ export class Timeline {
     const style = getComputedStyle(document.documentElement);
     const colours = Object.fromEntries([...SEVERITY].map((code) => [code, style.getPropertyValue(`--code-${code}`)]));
     const each = (height - ROW_GAP_PX * scale * (this.rows.length - 1)) / this.rows.length;
-    // The point's row is the first one of the strip, and stands below the views'.
+    // The point's row is the first of the strip and is drawn below those of the views.
     const uncertainty = this.rows.at(-1) ?? "";
     [...this.rows.slice(1, -1), this.rows[0] ?? ""].forEach((row, k) => {
       this.drawRow(context, row, width, k * (each + ROW_GAP_PX * scale), (codes) => {
@@ -83,8 +83,8 @@ export class Timeline {
     this.putCursor();
   }
 
-  // A column shows the worst of its moments; `look` gives colour, height and the row's height.
-  drawRow(context, row, width, top, look) {
+  // A column shows the worst of its moments; `styleOf` returns colour, height and row height.
+  drawRow(context, row, width, top, styleOf) {
     const offset = this.isLive ? this.span - row.length : 0;
     const perColumn = this.span / width;
     let column = Math.floor(offset / perColumn);
@@ -92,20 +92,20 @@ export class Timeline {
       const from = Math.max(Math.floor(column * perColumn) - offset, 0);
       const to = Math.max(Math.ceil((column + 1) * perColumn) - offset, from + 1);
       if (from >= row.length) break;
-      const [colour, tall, height] = look([...row.slice(from, to)]);
+      const [colour, tall, height] = styleOf([...row.slice(from, to)]);
       context.fillStyle = colour;
       context.fillRect(column, top + height - tall, 1, tall);
       column += 1;
     }
   }
 
-  // Which views had lost the finger at a moment, by their places.
+  // Indices of the views that had lost the finger at a moment.
   lostAt(number) {
     return this.rows.slice(1, -1).flatMap((row, k) => (row[number - this.first] === "l" ? [k] : []));
   }
 }
 
-// Frames of a recording to come back to; kept in the browser by the recording's title.
+// Bookmarked frames of a recording, stored in the browser by the recording's title.
 export class Bookmarks {
   constructor(line, seek) {
     this.line = line;
@@ -127,7 +127,7 @@ export class Bookmarks {
     this.draw();
   }
 
-  // The next one in a direction from a frame.
+  // Goes to the next bookmark in a direction from a frame.
   go(from, direction) {
     const ahead = this.numbers.filter((number) => (number - from) * direction > 0);
     if (ahead.length) this.seek(direction > 0 ? ahead[0] : ahead.at(-1));

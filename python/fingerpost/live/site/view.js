@@ -1,4 +1,4 @@
-// One view: its picture, and over it everything that is known of it, of the same instant.
+// One view: its picture, overlaid with all results of the same instant.
 
 import { awayFrom, crosses, dots, html, make, middleOf, numbered, path, place, pointMark, segments } from "./draw.js";
 import { Panel } from "./panel.js";
@@ -21,7 +21,7 @@ export class ViewPanel extends Panel {
     this.shapes(count);
   }
 
-  // At a click: why the frame went the way it did, with what was searched drawn over it.
+  // On click, shows the reasons for the frame's result, and draws the search.
   addWhy(name) {
     this.whyOpen = html("button", "why-open", null, "why");
     this.whyOpen.type = "button";
@@ -133,7 +133,7 @@ export class ViewPanel extends Panel {
     this.rejected.setAttribute("d", crosses(search.rejected, 3 * this.scale));
   }
 
-  // Where a number stands, from its point: outwards, but within the picture if the point is.
+  // Offset of a number from its point: outwards, but inside the picture if the point is.
   beside(point, middle) {
     const px = this.scale * this.emphasis;
     return awayFrom(middle, point, LABEL_PX).map((away, axis) => {

@@ -1,6 +1,6 @@
-// The homography that takes four points to four others, as CSS has it.
+// Homographies between four points, as CSS transforms.
 
-// from, to: four points [x, y] each. Null where three of either lie on a line.
+// from, to: four points [x, y] each. Null if three of either are collinear.
 export function homography(from, to) {
   const rows = from.flatMap(([x, y], k) => {
     const [u, v] = to[k];
@@ -13,7 +13,7 @@ export function homography(from, to) {
   return h && [...h, 1];
 }
 
-// Gauss's elimination with the largest pivot; the last column is the right side.
+// Gaussian elimination with pivoting; the last column is the right-hand side.
 function solved(rows) {
   const count = rows.length;
   for (let k = 0; k < count; k++) {
@@ -29,12 +29,12 @@ function solved(rows) {
   return rows.map((row, k) => row[count] / row[k]);
 }
 
-// Columns of a 4 × 4 matrix, depth left as it is.
+// The 4 × 4 matrix in column order, with depth unchanged.
 export function matrix3d([a, b, c, d, e, f, g, h, i]) {
   return `matrix3d(${[a, d, 0, g, b, e, 0, h, 0, 0, 1, 0, c, f, 0, i].join()})`;
 }
 
-// Whether four points go round convexly, in the order in which they are given.
+// Whether four points in order form a convex quadrilateral.
 export function isConvex(points) {
   const turns = points.map(([x, y], k) => {
     const [u, v] = points[(k + 1) % 4];

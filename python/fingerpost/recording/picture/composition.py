@@ -30,7 +30,7 @@ from fingerpost.recording.picture.view import draw_view
 from fingerpost.recording.sheet import Image, Points, Sheet
 
 MAX_WIDTH_PX = 1728
-"""Widest composition: it fits a screen, and its words stay legible where it is shown smaller."""
+"""Greatest width of a composition: it fits a screen, and its text is legible at smaller sizes."""
 _MARGIN_PX = 20
 _GAP_PX = 16
 _TITLE_PX = 38
@@ -47,18 +47,18 @@ _USUAL_ASPECT = 4.0 / 3.0
 class Composition:
     """Pictures of a run, all of one size: every view, the plan, and a line with the numbers.
 
-    The layout follows the number of views and the proportions of the first frames; later pictures
-    keep it, so that they make a video.
+    The layout depends on the number of views and the aspect ratios of the first frames, and is kept
+    for later pictures, so that they form a video.
 
     Parameters
     ----------
     plane_views
-        How the views see the plane, in the rig's order; at least one.
+        Homographies of the views, in the rig's order; at least one.
     unit
         Name of the plane's unit.
     edges
-        Whether to mark where the tracker looked for edges, those that it chose and those that it
-        rejected, and to say under each view why its frame went the way it did.
+        Whether to mark search lines with chosen and rejected edges, and to explain the result below
+        each view.
 
     Raises
     ------
@@ -92,11 +92,11 @@ class Composition:
         observations
             One per view, in the rig's order.
         fix
-            Where the hand points.
+            The fix.
         truth, trail, truth_trail, robot
             As for `draw_plan`.
         plane_views
-            How the views see the plane now, if cameras may have moved; None for one that has not.
+            Present homographies, if cameras may have moved; None for a view that has not.
 
         Returns
         -------
@@ -106,8 +106,7 @@ class Composition:
         Raises
         ------
         InvalidInputError
-            Another number of observations than views, an image that is none, or a truth that is
-            no point.
+            The numbers of observations and views differ, or an invalid image or truth.
         """
         if len(observations) != len(self._views):
             raise InvalidInputError(
@@ -155,7 +154,7 @@ class Composition:
         return page.pixels
 
     def _draw_footer(self, page: Sheet, fix: Fix, *, with_truth: bool) -> None:
-        """Time, status and numbers from the left; at the right, what the marks mean."""
+        """Draw time, status and numbers at the left, and the key of the marks at the right."""
         width, height = page.size_px
         baseline = height - _FOOTER_PX / 2 + 6
         right = width - _MARGIN_PX
@@ -184,14 +183,14 @@ def _draw_view_title(page: Sheet, layout: _Layout, index: int, observed: Observe
 
 
 def _draw_robot_title(page: Sheet, robot: RobotMarks, right: float, baseline: float) -> None:
-    """Say at the right of a title what the robot does, beside its mark."""
+    """Write the robot's activity at the right of a title, beside its mark."""
     begin, _ = page.text(robot.words, (right, baseline), 18, ROBOT, anchor=1.0)
     for x in (begin - 20.0, begin - 10.0):
         page.line(np.array([[x, baseline - 12.0], [x, baseline - 1.0]]), ROBOT, 3)
 
 
 def _draw_caption(page: Sheet, layout: _Layout, index: int, observed: Observed) -> None:
-    """Say under a view why its frame went the way it did."""
+    """Write the explanation of a view's result below it."""
     x, baseline = layout.caption(index)
     colours = [STATUSES[status_of(observed)], MUTED]
     for k, (words, colour) in enumerate(zip(observed.reasons, colours, strict=False)):
@@ -200,7 +199,7 @@ def _draw_caption(page: Sheet, layout: _Layout, index: int, observed: Observed) 
 
 
 def _draw_search_key(page: Sheet, layout: _Layout, index: int) -> None:
-    """Say under the plan what the marks of a search mean."""
+    """Draw the key of the search marks below the plan."""
     x, baseline = layout.caption(index)
     right = x + layout.cell_px[0]
     keys: list[tuple[str, Callable[[Sheet, Points], None] | None]] = [
@@ -220,7 +219,7 @@ def _draw_search_key(page: Sheet, layout: _Layout, index: int) -> None:
 
 
 def _draw_key(page: Sheet, right: float, baseline: float, *, with_truth: bool) -> None:
-    """Say what the marks of a fix mean."""
+    """Draw the key of the marks of a fix."""
     middle = baseline - 6
     if with_truth:
         begin, _ = page.text("truth", (right, baseline), 18, MUTED, anchor=1.0)
@@ -236,7 +235,7 @@ def _draw_key(page: Sheet, right: float, baseline: float, *, with_truth: bool) -
 
 
 def _in_numbers(fix: Fix, unit: str, plane_size: float) -> str:
-    """Give the fix to a thousandth of the plane; without one, say why."""
+    """Return the fix to a thousandth of the plane; without one, the reason."""
     if fix.point is None or fix.covariance is None:
         return fix.reason
     crossing = math.degrees(fix.crossing_angle_rad or 0.0)
@@ -247,14 +246,14 @@ def _in_numbers(fix: Fix, unit: str, plane_size: float) -> str:
 def point_in_numbers(
     point: ArrayLike, covariance: ArrayLike, *, unit: str, plane_size: float
 ) -> str:
-    """Return an indicated point as people read it: to a thousandth of the plane.
+    """Return an indicated point as text, to a thousandth of the plane.
 
     Parameters
     ----------
     point : (2,)
-        In plane units.
+        The point, in plane units.
     covariance : (2, 2)
-        In plane units²; the standard deviation along each axis stands behind its coordinate.
+        Its covariance, in plane units²; each coordinate is followed by its standard deviation.
     unit
         Name of the plane's unit.
     plane_size
@@ -278,7 +277,7 @@ class _Layout:
     rows: int
     cell_px: tuple[int, int]
     caption_px: int
-    """Height of what stands below each cell."""
+    """Height of the caption below each cell."""
 
     @classmethod
     def of(cls, observations: Sequence[Observed], caption_px: int) -> _Layout:
@@ -292,7 +291,7 @@ class _Layout:
 
     @property
     def page_px(self) -> tuple[int, int]:
-        """Width and height of the whole, even as videos want them."""
+        """Width and height of the whole, even as required for videos."""
         width = 2 * _MARGIN_PX + self.columns * (self.cell_px[0] + _GAP_PX) - _GAP_PX
         height = self.rows * self._row_px + _FOOTER_PX
         return width + width % 2, height + height % 2
@@ -323,7 +322,7 @@ class _Layout:
 
 
 def _middle_aspect(frames: Iterable[Pictured | None]) -> float:
-    """Middle of the frames' proportions, within what suits a plan."""
+    """Return the median aspect ratio of the frames, within a range suitable for the plan."""
     shapes = [frame.image.shape for frame in frames if frame is not None and frame.image.size]
     if not shapes:
         return _USUAL_ASPECT

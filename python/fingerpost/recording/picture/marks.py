@@ -1,4 +1,4 @@
-"""What a picture is drawn from, besides the fix."""
+"""Inputs of a picture, besides the fix."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Pictured(Protocol):
 
 
 class Observed(Protocol):
-    """What one view saw in one frame; `fingerpost.pipeline.Observation` is one."""
+    """Result of one view for one frame; `fingerpost.pipeline.Observation` is one."""
 
     @property
     def view(self) -> str:
@@ -32,7 +32,7 @@ class Observed(Protocol):
 
     @property
     def frame(self) -> Pictured | None:
-        """The frame; None where there is none of that time."""
+        """The frame; None if there is none at that time."""
 
     @property
     def contour_px(self) -> Points:
@@ -40,27 +40,27 @@ class Observed(Protocol):
 
     @property
     def search(self) -> SearchMarks:
-        """The last search for edges around it."""
+        """The last edge search around it."""
 
     @property
     def reasons(self) -> Sequence[str]:
-        """Why the frame went the way it did: the verdict, then details."""
+        """Explanation of the result: the decision, then details."""
 
     @property
     def finger(self) -> FingerLine | Status:
-        """The finger line, or why there is none."""
+        """The finger line, or the status without one."""
 
 
 @dataclass(frozen=True, eq=False)
 class SearchMarks:
-    """A search for edges along the normals of a contour, in the order along it.
+    """An edge search along the normals of a contour, in the order along it.
 
     Parameters
     ----------
     lines_px : (N, 2, 2)
         Both ends of each search line [px].
     edges_px : (N, 2)
-        The edge that each line found [px]; NaN where there is none.
+        The edge chosen on each line [px]; NaN without one.
     agrees : (N,) of bool
         Whether that edge agrees with the fit; the others are rejected.
     """
@@ -77,7 +77,7 @@ class SearchMarks:
 
 @dataclass(frozen=True, eq=False)
 class RobotMarks:
-    """A robot on the plan, and in views that do not show it themselves.
+    """A robot on the plan, and in views whose images do not contain it.
 
     Parameters
     ----------
@@ -88,15 +88,15 @@ class RobotMarks:
     jaw_angle_rad
         Direction in which they close, from the plane's X towards its Y [rad].
     trail : (N, 2)
-        Where the gripper was before, oldest first [plane units].
+        Earlier positions of the gripper, oldest first [plane units].
     block : (M, 2) or None
-        Outline of what it carries, or shall carry [plane units].
+        Outline of the block that it carries, or will carry [plane units].
     place : (2,) or None
-        Where that shall go [plane units].
+        Destination of the block [plane units].
     words
-        What it does.
+        Description of its activity.
     in_views
-        Whether to mark gripper and block in the views too.
+        Whether to mark gripper and block in the views as well.
     jaw_length
         Length of a jaw as drawn [plane units], ≥ 0.
     """
@@ -122,10 +122,10 @@ class RobotMarks:
 
 
 def status_of(observed: Observed) -> str:
-    """Return the status that is shown: a key of `palette.STATUSES`."""
+    """Return the displayed status: a key of `palette.STATUSES`."""
     return "tracking" if isinstance(observed.finger, FingerLine) else observed.finger.value
 
 
 def as_rows(points: ArrayLike) -> Points:
-    """Return points as (N, 2); none at all are no rows."""
+    """Return points as (N, 2), also for an empty input."""
     return np.asarray(points, np.float64).reshape(-1, 2)

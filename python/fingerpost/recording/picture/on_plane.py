@@ -1,4 +1,4 @@
-"""What view and plan both show of the plane: reference points, fix and robot."""
+"""Elements of the plane that both view and plan show: reference points, fix and robot."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def draw_references(
 def draw_fix(
     sheet: Sheet, fix: Fix, truth: ArrayLike | None, project: Callable[[Points], Points]
 ) -> None:
-    """Draw the 95 % ellipse, where the hand truly points, and the indicated point."""
+    """Draw the 95 % ellipse, the true point, and the indicated point."""
     ellipse = fix.ellipse(0.95)
     if ellipse is not None:
         outline = project(ellipse.polygon(72))
@@ -56,7 +56,7 @@ def draw_point(sheet: Sheet, place: Points) -> None:
 
 
 def draw_robot(sheet: Sheet, robot: RobotMarks, project: Callable[[Points], Points]) -> None:
-    """Draw the block, where it shall go, and the gripper's two jaws over it."""
+    """Draw the block, its destination, and the gripper's two jaws over it."""
     if robot.place is not None:
         place = sheet.place(project(finite_array(robot.place, "place", (2,))))
         turn = np.linspace(0.0, 2.0 * np.pi, 25)

@@ -1,4 +1,4 @@
-"""Colours of the pictures: colour-blind people can tell them apart."""
+"""Colours of the pictures, chosen so that colour-blind people can distinguish them."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ INK = _colour(0xECF0F3)
 POINT = _colour(0xFF1473)
 """The indicated point, its ellipse and its trail."""
 TRUTH = INK
-"""Where the hand truly points, where that is known."""
+"""The true indicated point, if known."""
 VIEWS = (_colour(0x56B4E9), _colour(0xF2A33A), _colour(0xF0E442), _colour(0x9A4DFF))
-"""One per view, from the first again when there are more views."""
+"""One colour per view, repeated if there are more views."""
 NORMAL = _colour(0xB9C4CE)
-"""A line along which edges were looked for."""
+"""A search line."""
 REJECTED = _colour(0xFF6B52)
 """An edge that does not agree with the fit."""
 ROBOT = _colour(0xA8E05F)
-"""The robot's gripper and where it went."""
+"""The robot's gripper and its trail."""
 BLOCK = _colour(0xDEBC8C)
-"""What it carries."""
+"""The block that it carries."""
 STATUSES = {
     "tracking": _colour(0x4FDBA5),
     "ok": _colour(0x4FDBA5),
@@ -39,11 +39,11 @@ STATUSES = {
 
 
 def colour_of(index: int) -> Colour:
-    """Return the colour of a view, by its place in the rig."""
+    """Return the colour of a view, by its index in the rig."""
     return VIEWS[index % len(VIEWS)]
 
 
 def mixed(ground: Colour, colour: Colour, share: float) -> Colour:
-    """Return a colour over a ground; with a share of 1 it hides that."""
+    """Blend a colour over a ground; with a share of 1 it is opaque."""
     blue, green, red = (round(a + share * (b - a)) for a, b in zip(ground, colour, strict=True))
     return blue, green, red

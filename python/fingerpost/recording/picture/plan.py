@@ -28,7 +28,7 @@ from fingerpost.recording.picture.palette import (
 from fingerpost.recording.picture.shapes import between, hull
 from fingerpost.recording.sheet import Colour, Image, Points, Sheet, affine
 
-# The plan shows this share of the reference points' extent around them, and about so many ticks.
+# Border around the reference points, relative to their extent; and approximate number of ticks.
 _PLAN_BORDER = 0.09
 _TICKS = 5
 
@@ -46,26 +46,26 @@ def draw_plan(
 ) -> Image:
     """Draw the plan of the working plane: figure 2c of the paper.
 
-    Axes in plane units, of one scale and never mirrored against what the views show; reference
-    points, constraint lines in the band of one standard deviation, indicated point with its 95 %
-    ellipse. A point outside the plan becomes an arrow at its border.
+    It has axes in plane units, of equal scale and never mirrored relative to the views; reference
+    points, constraint lines with a band of one standard deviation, and the indicated point with its
+    95 % ellipse. A point outside the plan becomes an arrow at its border.
 
     Parameters
     ----------
     plane_views
-        How all views see the plane.
+        Homographies of all views.
     fix
-        Where the hand points.
+        The fix.
     unit
         Name of the plane's unit.
     size_px
         Width and height of the picture, 1 to 32767.
     truth : (2,)
-        Where the hand truly points [plane units], if known.
+        True indicated point [plane units], if known.
     trail : (N, 2)
-        Points indicated before, oldest first [plane units].
+        Earlier indicated points, oldest first [plane units].
     truth_trail : (N, 2)
-        Where the hand truly pointed before; NaN breaks it.
+        Earlier true points; NaN interrupts the trail.
     robot
         A robot over the plane.
 
@@ -77,7 +77,7 @@ def draw_plan(
     Raises
     ------
     InvalidInputError
-        A size out of range, or a truth that is no point.
+        A size out of range, or an invalid truth.
     """
     points = plane_views[0].plane_points
     plan = Plan.of(plane_views[0], size_px)
@@ -103,7 +103,7 @@ def draw_plan(
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Where the plan shows what: a window onto the plane inside a picture, axes around it."""
+    """Layout of the plan: a window onto the plane inside a picture, with axes around it."""
 
     rows: slice
     columns: slice
@@ -120,9 +120,9 @@ class Plan:
     def of(cls, view: PlaneView, size_px: tuple[int, int]) -> Plan:
         """Plan of a view's plane for a picture of a given size.
 
-        X points to the right. Y points up, or down where the view sees it so: from the side of
-        the cameras, nothing is mirrored. Where the view sees X run up or down rather than across,
-        Y runs across, in the direction in which it is seen, so that both pictures lie alike.
+        X points to the right. Y points up, or down if the view sees it so: the plan is not
+        mirrored as seen from the cameras. If X runs vertically in the view, Y runs horizontally in
+        the plan, in the same direction as in the view, so that both have the same orientation.
         """
         columns = _inner(size_px[0], before=66, after=18)
         rows = _inner(size_px[1], before=18, after=46)
@@ -142,7 +142,7 @@ class Plan:
         return cls(rows, columns, middle - reach, middle + reach, window_from_plane, across)
 
     def place(self, points: ArrayLike) -> Points:
-        """Pixels (..., 2) of the whole picture that show points of the plane."""
+        """Return the pixels (..., 2) of points of the plane in the whole picture."""
         corner = np.array([self.columns.start, self.rows.start])
         return np.asarray(affine(self.window_from_plane, np.asarray(points, np.float64)) + corner)
 
@@ -159,7 +159,7 @@ class Plan:
 
 
 def _inner(length: int, *, before: int, after: int) -> slice:
-    """Take a length between two borders, which give way where it is too short for them."""
+    """Return the part of a length between two borders, which shrink if it is too short."""
     if length < 2 * (before + after):
         before = after = length // 4
     return slice(before, length - after)
@@ -195,7 +195,7 @@ def _draw_grid(window: Sheet, plan: Plan) -> None:
 def _draw_constraint_line(
     window: Sheet, plan: Plan, constraint: ConstraintLine, colour: Colour
 ) -> None:
-    """Draw the line through the whole window, in its band of one standard deviation."""
+    """Draw the line through the whole window, with its band of one standard deviation."""
     ends = clip_to_rectangle(constraint.line, plan.lower, plan.upper)
     if ends is None:
         return

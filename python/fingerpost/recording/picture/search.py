@@ -1,4 +1,4 @@
-"""The search for edges, marked: where, which edges agree with the fit, and which were rejected."""
+"""Marks of the edge search: search lines, edges that agree with the fit, and rejected edges."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from fingerpost.recording.picture.marks import SearchMarks
 from fingerpost.recording.picture.palette import INK, NORMAL, REJECTED
 from fingerpost.recording.sheet import CASING, Points, Sheet
 
-# Search lines are marked about so far apart, to leave the outline's colour to be seen, and a
-# rejected edge by a cross that reaches so far.
+# Spacing of the marked search lines, so that the outline remains visible; and size of the cross of
+# a rejected edge.
 _EDGE_SPACING_PX = 9.0
 _CROSS_PX = 2.6
 
@@ -26,7 +26,7 @@ def draw_search(sheet: Sheet, search: SearchMarks) -> None:
 
 
 def _spaced(places: Points) -> slice:
-    """Leave out places that stand too close together along the outline."""
+    """Return the slice that thins out places along the outline."""
     steps = np.hypot(*np.diff(places, axis=0).T)
     steps = steps[np.isfinite(steps)]
     spacing = float(np.median(steps)) if len(steps) else _EDGE_SPACING_PX
@@ -46,6 +46,6 @@ def draw_rejected(sheet: Sheet, place: Points) -> None:
 
 
 def _broken(lines: Points) -> Points:
-    """Put (N, K, 2) lines into one, with NaN between them."""
+    """Join lines (N, K, 2) into one, with NaN between them."""
     gaps = np.full((len(lines), 1, 2), np.nan)
     return np.concatenate([lines, gaps], axis=1).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""Shapes of what is shown of a moment, on a sheet or on the operator's page."""
+"""Shapes that represent a moment on a sheet or on the operator's page."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from fingerpost.lines import clip_to_rectangle, line_at_angle
 from fingerpost.pointing import ConstraintLine, FingerLine
 from fingerpost.recording.sheet import Points
 
-# Points of an outline further apart than so many of its usual steps belong to different fingers.
+# Distance of points of an outline, in its usual steps, beyond which they belong to two fingers.
 _OUTLINE_GAP = 5.0
 
 
 def outline(plane_points: Points) -> Points:
-    """Give the closed outline around the reference points, in small steps: a lens bends it."""
+    """Return the closed outline of the reference points, in small steps, for lens distortion."""
     corners = plane_points[hull(plane_points)]
     along = np.linspace(0.0, 1.0, 16, endpoint=False)[:, None]
     sides = [
@@ -26,7 +26,7 @@ def outline(plane_points: Points) -> Points:
 
 
 def hull(points: Points) -> NDArray[np.intp]:
-    """Give the indices of the corners of the convex hull, in order."""
+    """Return the indices of the corners of the convex hull, in order."""
     import cv2
 
     lower, upper = points.min(axis=0), points.max(axis=0)
@@ -35,7 +35,7 @@ def hull(points: Points) -> NDArray[np.intp]:
 
 
 def ahead(finger: FingerLine, corners: Points) -> Points:
-    """Give the finger line from the tip on, as far as it lies between two corners."""
+    """Return the finger line from the tip onwards, clipped to the rectangle of two corners."""
     ends = clip_to_rectangle(line_at_angle(finger.anchor_px, finger.angle_rad), *corners)
     if ends is None:
         return np.empty((0, 2))
@@ -48,7 +48,7 @@ def ahead(finger: FingerLine, corners: Points) -> Points:
 
 
 def near_references(line: ConstraintLine, plane_points: Points) -> Points:
-    """Give the part of a constraint line around the reference points, in small steps."""
+    """Return the part of a constraint line near the reference points, in small steps."""
     lower, upper = plane_points.min(axis=0), plane_points.max(axis=0)
     border = 0.25 * (upper - lower)
     ends = clip_to_rectangle(line.line, lower - border, upper + border)
@@ -56,7 +56,7 @@ def near_references(line: ConstraintLine, plane_points: Points) -> Points:
 
 
 def with_gaps(outline: Points) -> Points:
-    """Put a row of NaN between two fingers of an outline, so that no line joins them."""
+    """Insert a row of NaN between the fingers of an outline, so that no line joins them."""
     if len(outline) < 3:
         return outline
     steps = np.hypot(*np.diff(outline, axis=0).T)

@@ -1,4 +1,4 @@
-"""How the fixes of many recordings are shared among the statuses, a bar for each recording."""
+"""Bar chart of the statuses of the fixes of many recordings."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def draw_shares(recordings: Sequence[tuple[str, Mapping[str, int], str]]) -> Ima
     Parameters
     ----------
     recordings
-        Name, number of fixes of each status, and why it failed, which is empty if it did not. A
-        picture has room for about 1200; later ones are left out.
+        Name, number of fixes by status, and the reason of a failure, else empty. A picture has room
+        for about 1200; later ones are left out.
 
     Returns
     -------

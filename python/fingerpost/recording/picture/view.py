@@ -32,29 +32,30 @@ def draw_view(
 ) -> Image:
     """Draw one view: figure 2a of the paper, with the ellipse of figure 4.
 
-    The frame, scaled to fit; the reference points with their numbers; the template's outline in
-    the colour of its status; the finger line; the indicated point and its 95 % ellipse, projected
-    back; and, thin, the other views' constraint lines, which cross the finger line there.
+    It shows the frame, scaled to fit; the reference points with their numbers; the template's
+    outline in the colour of its status; the finger line; the projections of the indicated point and
+    its 95 % ellipse; and, thin, the other views' constraint lines, which cross the finger line
+    there.
 
     Parameters
     ----------
     observed
-        What the view saw.
+        Result of the view.
     plane_views
-        How all views see the plane.
+        Homographies of all views.
     index
-        Which of them this view is.
+        Index of this view.
     fix
-        Where the hand points.
+        The fix.
     size_px
-        Width and height of the picture, 1 to 32767; a frame of other proportions leaves bars.
+        Width and height of the picture, 1 to 32767; a frame of another aspect ratio leaves bars.
     truth : (2,)
-        Where the hand truly points [plane units], if known.
+        True indicated point [plane units], if known.
     edges
-        Whether to mark where the tracker looked for edges, those that it chose and those that it
-        rejected; magnified in a corner where the hand is small.
+        Whether to mark search lines with chosen and rejected edges; magnified in a corner if the
+        hand is small.
     robot
-        Marked if it is `in_views`.
+        Drawn if it is `in_views`.
 
     Returns
     -------
@@ -64,8 +65,8 @@ def draw_view(
     Raises
     ------
     InvalidInputError
-        An image that is not uint8 of one or three channels, a size out of range, or a truth that
-        is no point.
+        An image that is not uint8 of one or three channels, a size out of range, or an invalid
+        truth.
     """
     sheet = Sheet.blank(size_px, PANEL)
     if observed.frame is None or observed.frame.image.size == 0:
@@ -95,8 +96,8 @@ def draw_view(
     return sheet.pixels
 
 
-# A search is magnified if it grows by this factor at least: the part of the frame around it, by a
-# factor and a length wider than the search, to this share of the picture's shorter side.
+# A search is magnified if that enlarges it by at least this factor. The magnified part of the frame
+# exceeds the search by a factor and a length; its size is this share of the picture's shorter side.
 _MAGNIFIED = 1.5
 _CLOSEUP_BORDER = 1.15
 _CLOSEUP_LEAST_PX = 16
@@ -105,7 +106,7 @@ _CLOSEUP_MARGIN_PX = 8
 
 
 def _closeup(sheet: Sheet, image: Image, search: SearchMarks) -> tuple[slice, slice] | None:
-    """Give the rows and columns of an image that show a search; None if it needs no magnifier."""
+    """Return the rows and columns of an image around a search; None if it need not be magnified."""
     size = np.array(image.shape[1::-1])
     places = np.concatenate([search.lines_px.mean(axis=1), search.edges_px])
     places = places[((places >= 0.0) & (places < size)).all(axis=1)]  # false for NaN

@@ -1,4 +1,4 @@
-"""Fixes of a recording beside those that the same frames give now."""
+"""Comparison of the fixes in a recording with those computed from the same frames now."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fingerpost.recording.tables import BesideRow, PointRow, TableWriter
 
 
 def write_beside(path: Path) -> TableWriter[BesideRow]:
-    """Open a table of fixes beside recorded ones; it replaces a file of that name.
+    """Open a table that compares fixes with recorded ones; it replaces an existing file.
 
     Raises
     ------
@@ -23,12 +23,12 @@ def write_beside(path: Path) -> TableWriter[BesideRow]:
 
 
 class Comparison:
-    """How fixes differ from recorded ones.
+    """Comparison of fixes with recorded ones.
 
     Parameters
     ----------
     recorded
-        The recorded ones, by their frames.
+        The recorded fixes, by frame.
     """
 
     def __init__(self, recorded: dict[int, PointRow]) -> None:
@@ -71,7 +71,7 @@ class Comparison:
         )
 
     def lines(self, unit: str) -> list[str]:
-        """Say how the fixes compare, for people; nothing if there was nothing to compare with."""
+        """Return a summary of the comparison, line by line; empty without recorded fixes."""
         if not self._compared:
             return []
         if self._equal == self._compared:

@@ -32,7 +32,7 @@ from fingerpost.mcap_file import (
 
 @dataclass(frozen=True, kw_only=True)
 class Contents:
-    """What an MCAP file holds.
+    """Contents of an MCAP file.
 
     Attributes
     ----------
@@ -43,17 +43,17 @@ class Contents:
     library
         The program that wrote it.
     about
-        What it says of itself, if fingerpost wrote it.
+        Its description, if fingerpost wrote it.
     messages
-        How many of each topic.
+        Number of messages, by topic.
     schemas
-        Of what kind they are, by topic.
+        Schema of the messages, by topic.
     start_ns, end_ns
         The first and the last log time.
     dropped
-        How many steps were dropped.
+        Number of dropped steps.
     wrong
-        What is wrong with the file; empty if it is whole.
+        What is wrong with the file; empty if it is complete.
     """
 
     path: Path
@@ -90,26 +90,26 @@ class Contents:
         return [*lines, *(f"{n:16d} {topic}   {self.schemas[topic]}" for topic, n in counted)]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything for programs, fit for JSON."""
+        """Return everything for programs, as JSON values."""
         about = None if self.about is None else msgspec.to_builtins(self.about)
         named = {one.name: getattr(self, one.name) for one in fields(self)}
         return {**named, "path": str(self.path), "about": about}
 
 
 def contents(path: Path) -> Contents:
-    """Tell what an MCAP file holds.
+    """Return the contents of an MCAP file.
 
     Raises
     ------
     SourceError
-        The file cannot be read, or is no MCAP file.
+        The file cannot be read, or is not an MCAP file.
     """
-    Records(path).close()  # refused in words, before the library looks at it
+    Records(path).close()  # refuses other files with a message, before the library opens it
     return _by_index(path) or _by_counting(path)
 
 
 def _by_index(path: Path) -> Contents | None:
-    """Use the index at the end of a file; None if there is none, or not a whole one."""
+    """Use the index at the end of a file; None without a complete one."""
     summary = read_summary(path)
     if summary is None or summary.statistics is None:
         return None

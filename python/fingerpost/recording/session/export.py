@@ -1,4 +1,4 @@
-"""Tables and videos of what stands in a recording; nothing is followed again."""
+"""Tables and videos from a recording, without tracking again."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ from fingerpost.recording.video import VideoWriter
 Row = TypeVar("Row")
 
 _HELD = 64
-"""Images of a view that may wait for what is drawn over them: 2 s at 30 frames a second."""
+"""Number of images of a view that may wait for their annotations: 2 s at 30 frames a second."""
 
 
 def recorded_rows(path: Path, topics: set[str], kind: type[Row]) -> Iterator[Row]:
-    """Give the rows of a recording that stand under some topics, in their order.
+    """Yield the rows of a recording under some topics, in order.
 
     Raises
     ------
     SourceError
-        The file cannot be read, is no MCAP file, or a row cannot be understood.
+        The file cannot be read, is not an MCAP file, or a row cannot be parsed.
     """
     for topic, message in _messages(path):
         if topic in topics:
@@ -57,18 +57,18 @@ def recorded_rows(path: Path, topics: set[str], kind: type[Row]) -> Iterator[Row
 
 
 def recorded_points(path: Path) -> Iterator[PointRow]:
-    """Give the fixes of a recording; raises as `recorded_rows`."""
+    """Yield the fixes of a recording; raises as `recorded_rows`."""
     return recorded_rows(path, {FIX_TOPIC}, PointRow)
 
 
 def recorded_tracks(path: Path) -> Iterator[TrackRow]:
-    """Give the finger lines of a recording; raises as `recorded_rows`."""
+    """Yield the finger lines of a recording; raises as `recorded_rows`."""
     about, _ = read_about(path)
     return recorded_rows(path, {track_topic(view) for view in about.views}, TrackRow)
 
 
 def export_table(path: Path, table: Path, rows: Iterator[AnyRow], row_type: type[AnyRow]) -> int:
-    """Write rows of a recording as a table: Parquet if its name ends so, else CSV.
+    """Write rows of a recording as a table: Parquet or CSV, by the name's suffix.
 
     Parameters
     ----------
@@ -77,24 +77,24 @@ def export_table(path: Path, table: Path, rows: Iterator[AnyRow], row_type: type
     table
         The table.
     rows, row_type
-        What stands in it.
+        Its rows, and their type.
 
     Returns
     -------
     int
-        How many rows.
+        Number of rows.
 
     Raises
     ------
     SourceError
-        The file cannot be read, or is no recording of fingerpost's.
+        The file cannot be read, or is not a recording of fingerpost.
     InvalidInputError, RecordingError
         The table cannot be written.
     MissingExtraError
         The extra `parquet` is needed and not installed.
     """
     about, _ = read_about(path)
-    read = list(rows)  # what cannot be read costs no table that was there
+    read = list(rows)  # first, so that an unreadable recording does not destroy an existing table
     if table.suffix == SUFFIX:
         said = {
             "fingerpost": about.version,
@@ -111,7 +111,7 @@ def export_table(path: Path, table: Path, rows: Iterator[AnyRow], row_type: type
 
 
 def export_video(path: Path, video: Path) -> int:
-    """Write the views of a recording side by side, with what was drawn over them.
+    """Write the views of a recording side by side, with their annotations.
 
     Parameters
     ----------
@@ -123,12 +123,12 @@ def export_video(path: Path, video: Path) -> int:
     Returns
     -------
     int
-        How many pictures.
+        Number of pictures.
 
     Raises
     ------
     SourceError
-        The file cannot be read, or is no recording of fingerpost's.
+        The file cannot be read, or is not a recording of fingerpost.
     InvalidInputError, RecordingError
         The video cannot be written.
     """
@@ -143,7 +143,7 @@ def export_video(path: Path, video: Path) -> int:
 
 
 class _View:
-    """The images of a view that may yet be drawn over, and the one that is shown."""
+    """Images of a view that wait for annotations, and the one that is shown."""
 
     def __init__(self) -> None:
         self._images: deque[CompressedImage] = deque(maxlen=_HELD)
@@ -162,7 +162,7 @@ class _View:
                 self._shown, self._drawn = image, drawn
 
     def picture(self) -> Image | None:
-        """Return the image with what is drawn over it; None before the first."""
+        """Return the image with its annotations; None before the first."""
         import cv2
 
         if self._shown is None:
@@ -223,7 +223,7 @@ def _draw(sheet: Sheet, drawn: ImageAnnotations) -> None:
 
 
 def _joined(kind: int, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the points of a line; NaN breaks it."""
+    """Return the points of a line, interrupted by NaN."""
     if kind == PointsAnnotation.LINE_LOOP:
         return np.concatenate([points, points[:1]])
     if kind == PointsAnnotation.LINE_LIST:

@@ -1,8 +1,8 @@
-"""What a recording holds, in the messages that viewers know (Foxglove's schemas).
+"""Messages of a recording, in schemas that viewers know (Foxglove).
 
-Annotations are for the eye: their coordinates are rounded to 1/64 px, so that they compress well.
-What is exact stands in `/frames`, from which everything else can be made again. Foxglove counts
-pixels from the corner of the first one, fingerpost from its centre.
+Annotations are for display: their coordinates are rounded to 1/64 px, so that they compress well.
+Exact data are in `/frames`, from which all others can be recomputed. In Foxglove the origin is the
+corner of the first pixel, in fingerpost its centre.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _POINT_HEADS = {"field": 0x1A, "size": 18, "of_x": 0x09, "of_y": 0x11}
 
 
 def stamp(time_ns: int) -> Timestamp:
-    """Return a time as protobuf has it [ns]."""
+    """Convert a time [ns] to protobuf."""
     seconds, nanos = divmod(time_ns, 10**9)
     return Timestamp(seconds=seconds, nanos=nanos)
 
@@ -77,7 +77,7 @@ def pose_in(
 def calibration(
     view: str, time_ns: int, size_px: tuple[int, int], lens: Lens | None
 ) -> CameraCalibration:
-    """Return a view's lens; one that nobody knows has zeros for its matrix, as viewers expect."""
+    """Return a view's lens; an unknown one has a zero matrix, as viewers expect."""
     message = CameraCalibration(
         timestamp=stamp(time_ns), frame_id=view, width=size_px[0], height=size_px[1]
     )
@@ -96,20 +96,20 @@ def calibration(
 def drawn_over(
     observed: Observed, index: int, time_ns: int, plane_view: PlaneView, whole_from_seen: Points
 ) -> ImageAnnotations:
-    """Return what is drawn over a view's image: contour, search, finger line, reference points.
+    """Return the annotations of a view's image: contour, search, finger line, reference points.
 
     Parameters
     ----------
     observed
-        What the view saw.
+        Result of the view.
     index
-        Its place in the rig, which decides its colour.
+        Its index in the rig, which determines its colour.
     time_ns
-        The image's time.
+        Time of the image [ns].
     plane_view
-        How the view saw the plane.
+        Homography of the view.
     whole_from_seen : (3, 3)
-        From pixels of `observed` to those of the image, if that was followed at a reduced size.
+        Transform from pixels of `observed` to those of the image, if it was reduced.
     """
     status, colour = status_of(observed), colour_of(index)
     message = ImageAnnotations(timestamp=stamp(time_ns))

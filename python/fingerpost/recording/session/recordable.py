@@ -1,4 +1,4 @@
-"""What a recorder takes; `fingerpost.capture` and `fingerpost.pipeline` have it."""
+"""Inputs of a recorder, implemented by `fingerpost.capture` and `fingerpost.pipeline`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fingerpost.recording.tables import PointRow, TrackRow
 
 
 class Seen(Protocol):
-    """A view's frame, or its loss, which has no image but says why."""
+    """A view's frame, or its loss, which has a reason instead of an image."""
 
     @property
     def index(self) -> int:
@@ -26,30 +26,30 @@ class Seen(Protocol):
 
 
 class WholeFromReduced(Protocol):
-    """How frames were reduced; `fingerpost.references.Reduction` is one."""
+    """Reduction of frames; `fingerpost.references.Reduction` is one."""
 
     @property
     def whole_from_reduced(self) -> NDArray[np.float64]:
-        """(3, 3) From pixels of the reduced image to those of the whole one."""
+        """(3, 3) Transform from pixels of the reduced image to those of the full one."""
 
 
 class Recordable(Observed, Protocol):
-    """What one view saw; `fingerpost.pipeline.Observation` is one."""
+    """Result of one view; `fingerpost.pipeline.Observation` is one."""
 
     @property
     def reduction(self) -> WholeFromReduced:
-        """How its frame was reduced."""
+        """Reduction of its frame."""
 
     @property
     def plane_view(self) -> PlaneView | None:
-        """How it saw the plane."""
+        """Its homography."""
 
     def track_row(self) -> TrackRow | None:
         """Return its row of `tracks.csv`."""
 
 
 class RecordableStep(Protocol):
-    """What was made of the frames of a time; `fingerpost.pipeline.Step` is one."""
+    """Results of the frames of one time; `fingerpost.pipeline.Step` is one."""
 
     @property
     def observations(self) -> Sequence[Recordable]:
@@ -57,7 +57,7 @@ class RecordableStep(Protocol):
 
     @property
     def fix(self) -> Fix:
-        """Where the hand points."""
+        """The fix."""
 
     def point_row(self) -> PointRow:
         """Return its row of `points.csv`."""

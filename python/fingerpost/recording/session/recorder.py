@@ -1,8 +1,8 @@
-"""Records a session beside the main loop: a thread of its own, and a queue with an end.
+"""Records a session in parallel with the main loop, in a separate thread with a bounded queue.
 
-Of live sources, steps for which the queue has no room are dropped and counted: the hand is followed
-on time whatever the disk does. Recorded sources wait. What is recorded reaches the disk twice a
-second, so that a crash costs less than a second.
+With live sources, steps for which the queue has no room are dropped and counted, so that tracking
+does not depend on the disk. Recorded sources wait. Data are written to the disk twice a second, so
+that a crash costs less than a second.
 """
 
 from __future__ import annotations
@@ -57,17 +57,17 @@ _log = logging.getLogger(__name__)
 
 _FLUSH_S = 0.5
 _WAITING = 32
-"""Entries that may wait to be recorded: about half a second of frames and steps."""
+"""Greatest number of queued entries: about half a second of frames and steps."""
 
 _JPEG_QUALITY = 95
 _JPEG = b"\xff\xd8"
 
 
 class Images(Enum):
-    """How images are recorded that did not come as JPEG or PNG."""
+    """Format of images that were not received as JPEG or PNG."""
 
     PNG = "png"
-    """Without loss."""
+    """Lossless."""
     JPEG = "jpeg"
     """JPEG of quality 95: ten times as fast, and a fifth of the size."""
 
@@ -76,22 +76,22 @@ Together_ = TypeVar("Together_", bound=Sequence[Seen | None])
 
 
 class Recorder:
-    """Writes a recording; use it by `with`, which completes the file.
+    """Writes a recording; a context manager, which completes the file.
 
     Parameters
     ----------
     path
         The file; it must not exist.
     about
-        What the recording says of itself.
+        Description of the recording.
     rig_text
-        The rig whose views are those of the recording, as TOML.
+        The rig, with the recording's views as sources, as TOML.
     lenses
-        Of the views, where they are known.
+        Lenses of the views, if known.
     images
-        How images that did not come as JPEG or PNG are recorded.
+        Format of images that were not received as JPEG or PNG.
     clock
-        Gives seconds that never go back.
+        Returns a monotonic time [s].
 
     Raises
     ------
@@ -118,7 +118,7 @@ class Recorder:
         self._calibrated: set[str] = set()
         self._writer: Any = Writer(self._stream)  # type: ignore[arg-type]
         self._queue: queue.Queue[Callable[[], None] | None] = queue.Queue(_WAITING)
-        # Put from signals' handlers as well, which must not wait for a lock of the code they
+        # Also filled by signal handlers, which must not wait for a lock of the code that they
         # interrupt.
         self._rows: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._steps = self._taken = 0
@@ -129,7 +129,7 @@ class Recorder:
         self._thread.start()
 
     def watch(self, frames: Iterable[Together_]) -> Iterator[Together_]:
-        """Pass on the frames of all views as they come together, and record them.
+        """Pass on and record the frames of all views.
 
         Raises
         ------
@@ -142,7 +142,7 @@ class Recorder:
             yield seen
 
     def take(self, step: RecordableStep) -> None:
-        """Record what was made of frames.
+        """Record a step.
 
         Raises
         ------
@@ -153,20 +153,20 @@ class Recorder:
         self._put(lambda: self._write_step(step))
 
     def add_row(self, topic: str, row: object, time_s: float, step: int = 0) -> None:
-        """Record what stands beside the steps, such as a command to a robot; never waits.
+        """Record additional data, such as a command to a robot; never waits.
 
-        From any thread, and from a signal's handler.
+        It may be called from any thread, and from a signal handler.
 
         Parameters
         ----------
         topic
             Its topic.
         row
-            A dataclass of numbers, words and None.
+            A dataclass of numbers, strings and None.
         time_s
-            When, by the clock of the frames [s].
+            Time on the clock of the frames [s].
         step
-            The number of the step that it belongs to, if it does to one.
+            Number of the step that it belongs to, if any.
         """
         self._rows.put(lambda: self._write_json(topic, type(row), row, self._ns(time_s), step))
 
@@ -185,7 +185,7 @@ class Recorder:
         self._rows.put(lambda: self._write_message(topic, message, time_ns, step))
 
     def notes(self) -> list[str]:
-        """Return what is to be said of the recording, for people; nothing if it holds all."""
+        """Return remarks on the recording for the user; none if it is complete."""
         if not self._dropped:
             return []
         return [
@@ -194,7 +194,7 @@ class Recorder:
         ]
 
     def close(self) -> None:
-        """Write what waits and complete the file; closing twice does nothing.
+        """Write queued entries and complete the file; closing twice does nothing.
 
         Raises
         ------
@@ -225,7 +225,7 @@ class Recorder:
         try:
             self.close()
         finally:
-            # Whatever is refused from the first frame on leaves nothing behind.
+            # If the first frame is refused, no file is left.
             if isinstance(error, InvalidInputError) and self._steps <= 1 and not self._taken:
                 self._stream.path.unlink(missing_ok=True)
 
@@ -335,7 +335,7 @@ class Recorder:
         return self._ns(seen.time_s)
 
     def _ns(self, time_s: float) -> int:
-        """Return a time as the file has it: since 1970 for live sources, never below 0."""
+        """Return a time in the file's format: since 1970 for live sources, never below 0."""
         return max(0, self._epoch_ns + round(time_s * 1e9))
 
     def _write_message(self, topic: str, message: Any, log_ns: int, sequence: int) -> None:
@@ -378,7 +378,7 @@ def _encoded(image: NDArray[np.uint8], images: Images) -> bytes:
     if images is Images.JPEG:
         options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     else:
-        # A third of the time of the defaults for as many bytes; older versions know no filters.
+        # A third of the defaults' time for the same size; older versions have no filter options.
         options = [cv2.IMWRITE_PNG_COMPRESSION, 1]
         if hasattr(cv2, "IMWRITE_PNG_FILTER"):
             options += [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP]
@@ -389,7 +389,7 @@ def _encoded(image: NDArray[np.uint8], images: Images) -> bytes:
 
 
 def _inlined(schema: dict[str, Any]) -> dict[str, Any]:
-    """Return a JSON schema whose root is the message itself, as viewers want it."""
+    """Return a JSON schema whose root is the message itself, as viewers require."""
     definitions = schema.pop("$defs", {})
     root = schema.pop("$ref", "").rpartition("/")[2]
     return {**definitions.pop(root, schema), **({"$defs": definitions} if definitions else {})}

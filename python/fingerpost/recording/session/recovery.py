@@ -1,4 +1,4 @@
-"""A whole MCAP file from one that was cut, whoever wrote it."""
+"""Recovery of a complete MCAP file from a truncated one of any program."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from fingerpost.recording.session.stream import RecordingStream
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What was recovered.
+    """Result of a recovery.
 
     Attributes
     ----------
     messages
-        How many messages.
+        Number of messages.
     duration_s
-        From the first log time to the last [s].
+        Duration from the first log time to the last [s].
     wrong
-        What was wrong with the file; empty if it was whole.
+        What was wrong with the file; empty if it was complete.
     """
 
     messages: int
@@ -42,19 +42,19 @@ class Recovered:
 
 
 def recover(cut: Path, whole: Path) -> Recovered:
-    """Write all that a file still holds, up to its last byte, into a whole one.
+    """Write all readable contents of a file into a complete one.
 
     Parameters
     ----------
     cut
-        An MCAP file that may have been cut off at any byte.
+        An MCAP file that may be truncated at any byte.
     whole
         The file to write; it must not exist.
 
     Raises
     ------
     SourceError
-        `cut` cannot be read, is no MCAP file, or was cut before its first record ended.
+        `cut` cannot be read, is not an MCAP file, or is truncated within its first record.
     InvalidInputError
         `whole` exists, or cannot be created.
     RecordingError
@@ -75,7 +75,7 @@ def recover(cut: Path, whole: Path) -> Recovered:
 
 
 class _Copy:
-    """A file that gets the records of another; schemas and channels have new numbers in it."""
+    """A file that receives the records of another; its schemas and channels are renumbered."""
 
     def __init__(self, stream: RecordingStream, header: Header) -> None:
         self.messages = self.start_ns = self.end_ns = 0

@@ -1,7 +1,7 @@
-"""The file of a recording: complete data stay, and every failure is reported.
+"""The file of a recording: complete data are kept, and every failure is reported.
 
-`flush` hands what was written to the disk itself, so that a crash of the machine or a stick that is
-pulled costs what came since. Where writing fails, the file is cut to the last flush.
+`flush` writes all data to the disk itself, so that a crash of the machine or a removed memory stick
+only costs later data. If writing fails, the file is truncated to the last flush.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from fingerpost.errors import InvalidInputError, RecordingError
 
 
 class RecordingStream:
-    """A new file to write a recording to; a file that is there already is left alone.
+    """A new file for a recording; an existing file is not touched.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class RecordingStream:
         Raises
         ------
         RecordingError
-            The disk is full, or has gone.
+            The disk is full or has been removed.
         """
         left = memoryview(data)
         try:
@@ -63,10 +63,10 @@ class RecordingStream:
         """Return the number of bytes written."""
         return self._place
 
-    tell = position  # by this name of Python's files, the MCAP writer asks
+    tell = position  # name in Python's file protocol, which the MCAP writer uses
 
     def flush(self) -> None:
-        """Have everything on the disk.
+        """Write all data to the disk.
 
         Raises
         ------

@@ -1,6 +1,6 @@
-"""Emulated robot controllers on pseudo-terminals: every byte of the real dialogue, no metal.
+"""Emulated robot controllers on pseudo-terminals, with every byte of the real dialogue.
 
-`make_emulator` plugs one in; `fingerpost robot emulate` does it from a shell.
+`make_emulator` connects one; `fingerpost robot emulate` does so from a shell.
 """
 
 from fingerpost.robot.emulator.faults import Fault

@@ -1,12 +1,12 @@
-"""A Scorbot and its Controller-A, as far as a serial line can tell.
+"""Emulation of a Scorbot and its Controller-A, as seen from a serial line.
 
-Bytes in, bytes out, at given times; no port, thread or clock. Words and units follow the ACL
-Reference Guide for Controller-A (catalogue number 100083); where the guide leaves a text open, an
-`AclStyle` chooses one. The arm is a five-axis arm of the ER-7's build; its link lengths and encoder
-ratios are this emulator's own. Stored programs are not emulated.
+Bytes in, bytes out, at given times; no port, thread or clock. Texts and units follow the ACL
+Reference Guide for Controller-A (catalogue number 100083); where the guide does not define a text,
+`AclStyle` does. The arm has five axes like the ER-7; its link lengths and encoder ratios are this
+emulator's own. Stored programs are not emulated.
 
-The arm is where its motion was commanded to be, unless `encoders` tell where it really is: a
-physics engine's arm, say, which goes after `commanded_rad` as well as it can.
+The arm is at its commanded position, unless `encoders` report the true one, for example that of a
+physics engine's arm, which follows `commanded_rad` as well as it can.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ JOINT_LIMITS_RAD = np.radians([[-125, 125], [-35, 135], [-150, 75], [-110, 110],
 """Range of each joint: base, shoulder, elbow, wrist pitch, wrist roll [rad]."""
 
 HOME_UNITS = np.array([5197.0, 0.0, 9963.0, 623.0, -3.0])
-"""Where the arm stands when all counts are zero: X, Y, Z [0.1 mm], P, R [0.1°]."""
+"""Position at which all counts are zero: X, Y, Z [0.1 mm], P, R [0.1°]."""
 
 CTRL_A, BACKSPACE, LF, CR, XON, XOFF = 0x01, 0x08, 0x0A, 0x0D, 0x11, 0x13
 LINE_LENGTH = 80
@@ -60,7 +60,7 @@ def forward(joints: Vector) -> Vector:
 
 
 def inverse(units: Vector) -> Vector | None:
-    """Return the joint angles [rad] of a position, elbow up; None where the arm cannot be."""
+    """Return the joint angles [rad] of a position, elbow up; None out of reach."""
     return _ARM.joints_rad(np.concatenate([units[:3] / 10, np.radians(units[3:] / 10)]))
 
 
@@ -73,30 +73,30 @@ def _home_joints() -> Vector:
 
 HOME_JOINTS_RAD = _home_joints()
 IMPACT_RAD = 0.2
-"""A joint this far from where it was commanded has hit something [rad]."""
+"""Deviation of a joint from its commanded angle that means a collision [rad]."""
 
 PARKED_JOINTS_RAD = HOME_JOINTS_RAD + np.radians([20.0, -15.0, -10.0, 5.0, 30.0])
-"""Where the arm stands when the controller is switched on, unknown to it."""
+"""Joint angles when the controller is switched on, unknown to it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AclStyle:
-    """What an emulated controller does in its own way.
+    """Variants of an emulated controller.
 
     Attributes
     ----------
     echo : bool
-        Return every character that is sent.
+        Whether to echo every character.
     page_lines : int
         Lines of a listing before it stops at `Type <cr>`.
     homing_s : float
-        Time that homing takes [s of the arm].
+        Duration of homing [s of the arm].
     full_speed_mm_s, acceleration_mm_s2 : float
-        The gripper at `SPEED 100` [mm/s] and how it gets there [mm/s²].
+        Speed of the gripper at `SPEED 100` [mm/s], and its acceleration [mm/s²].
     done : str
-        What a command without an answer of its own is answered with.
+        Answer to a command without an answer of its own.
     spacing : numpy.random.Generator, optional
-        Draws spacing and case of listings anew each time; without it they follow the guide.
+        Draws spacing and case of each listing; without it they follow the guide.
     """
 
     echo: bool = True
@@ -110,7 +110,7 @@ class AclStyle:
 
 @dataclass(slots=True)
 class _Question:
-    """One value that the controller asks for (`SETPV`, `TEACH`)."""
+    """One value that the controller requests (`SETPV`, `TEACH`)."""
 
     prompt: str
     put: Callable[[int], None]
@@ -118,7 +118,7 @@ class _Question:
 
 @dataclass(slots=True)
 class _Position:
-    """A named position: its coordinates, once something has been recorded."""
+    """A named position: its coordinates, once recorded."""
 
     units: Vector | None = None
 
@@ -153,22 +153,22 @@ class AclController:
     Parameters
     ----------
     style : AclStyle
-        What the facts leave open.
+        Variants that the guide does not define.
     encoders : callable, optional
-        Reads where the joints really are (5,) [rad]; without it they are where they were commanded.
+        Reads the true joint angles (5,) [rad]; by default they are as commanded.
 
     Attributes
     ----------
     homed, servos : bool
-        All axes have found home; the motors are on.
+        Whether all axes are homed, and whether the motors are on.
     speed_percent : int
         The set speed.
     jaw_percent : int
         The gripper's opening.
     moves : list of MoveRecord
-        Every move that was accepted.
+        All accepted moves.
     aborts : int
-        How often Ctrl-A or A came.
+        Number of Ctrl-A and A received.
     """
 
     def __init__(
@@ -183,7 +183,7 @@ class AclController:
         self.moves: list[MoveRecord] = []
         self.aborts = 0
         self._echo = self.style.echo
-        self._zero = PARKED_JOINTS_RAD  # where the counts are zero
+        self._zero = PARKED_JOINTS_RAD  # angles at zero counts
         self._arm = MotionQueue(PARKED_JOINTS_RAD)
         self._positions: dict[str, _Position] = {}
         self._line = bytearray()
@@ -217,16 +217,16 @@ class AclController:
             "TEACH": self._teach,
         }
 
-    # What a port calls.
+    # Interface to a port.
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Take bytes from the line at a time [s]."""
+        """Process bytes received at a time [s]."""
         self._run_events(now_s)
         for byte in data:
             self._take(byte, now_s)
 
     def poll(self, now_s: float) -> bytes:
-        """Return what the controller has to send by now."""
+        """Return the bytes that the controller sends by now."""
         self._run_events(now_s)
         if self._output.held:
             return b""
@@ -235,11 +235,11 @@ class AclController:
         return data
 
     def next_due_s(self) -> float | None:
-        """Return when it will next send something by itself [s], or None."""
+        """Return the time of the next unsolicited transmission [s], or None."""
         return self._homing.end_s if self._homing else None
 
     def inject(self, fault: Fault, now_s: float) -> None:
-        """Have a fault of the arm or of the dialogue."""
+        """Simulate a fault of the arm or of the dialogue."""
         if fault is Fault.IMPACT:
             self._fail("53 IMPACT PROTECTION AXIS 2", now_s)
         elif fault is Fault.OVERLOAD:
@@ -249,14 +249,14 @@ class AclController:
         else:
             self._due.append(fault)
 
-    # The truth, for tests.
+    # True state, for tests.
 
     def units(self, now_s: float) -> Vector:
-        """Return where the gripper really is: X, Y, Z [0.1 mm], P, R [0.1°]."""
+        """Return the true position of the gripper: X, Y, Z [0.1 mm], P, R [0.1°]."""
         return forward(self._joints(now_s))
 
     def commanded_rad(self, now_s: float) -> Vector:
-        """Return where the joints are commanded to be (5,) [rad]: what an arm's motors go after."""
+        """Return the commanded joint angles (5,) [rad], which an arm's motors follow."""
         return self._arm.position(now_s)
 
     def is_moving(self, now_s: float) -> bool:
@@ -318,7 +318,7 @@ class AclController:
             self._say_page()
 
     def _say_page(self) -> None:
-        """Say the lines of a listing up to the foot of a page, or to the prompt."""
+        """Send the lines of a listing to the end of a page, or to the prompt."""
         size = 1 if self._take_due(Fault.PAGING) else self.style.page_lines
         lines, self._pages = self._pages[:size], self._pages[size:]
         self._say("".join(f"{line}\r\n" for line in lines))
@@ -358,7 +358,7 @@ class AclController:
         self._say("HOMING COMPLETE (ROBOT)\r\n>")
 
     def _protect(self, now_s: float) -> None:
-        """Switch off when a joint does not get where it was commanded."""
+        """Switch off if a joint does not follow its command."""
         if self._encoders is None or not self.servos:
             return
         behind = np.abs(self._encoders() - self._arm.position(now_s))
@@ -377,10 +377,10 @@ class AclController:
         self._arm.abort(now_s)
 
     def _fail(self, text: str, now_s: float) -> None:
-        """Stop, switch the motors off and say why, whatever is being typed."""
+        """Stop, switch the motors off and send the reason, even during input."""
         self._stand_still(now_s)
         if self._encoders is not None:
-            self._arm = MotionQueue(self._encoders())  # the motors go on from here, not from there
+            self._arm = MotionQueue(self._encoders())  # motion continues from the true angles
         self.servos = False
         self._say(f"\r\n*** {text}\r\n>")
 
@@ -404,7 +404,7 @@ class AclController:
         return []
 
     def _path(self, goal: Vector, *, linear: bool) -> Path | None:
-        """Return the way to a position, or None where the arm cannot go; its length is in mm."""
+        """Return the path to a position, or None out of reach; its length is in mm."""
         start_joints, goal_joints = self._arm.end, inverse(goal)
         if goal_joints is None:
             return None
@@ -422,7 +422,7 @@ class AclController:
 
         return Path(on_line, goal_joints, line.length)
 
-    # Commands. Each returns its answer's lines; an empty answer means done, None that more follows.
+    # Commands. Each returns the lines of its answer; empty means done, None that more will follow.
 
     def _abort_command(self, _words: list[str], now_s: float) -> list[str]:
         self._abort(now_s)
@@ -493,7 +493,7 @@ class AclController:
             raise _CommandError("312 BAD POINT COORDINATE")
         index = AXIS_INDEX[words[1]]
         position.units[index] = _whole(words, 2, -32768, 32767)
-        if index < 3:  # as the guide's users have found: P and R do not survive this
+        if index < 3:  # P and R are lost by this, as users have reported
             position.units[3] += 2 + index
             position.units[4] -= 1 + index
         return []
@@ -546,7 +546,7 @@ class AclController:
         ]
 
     def _listing(self, labels: list[str], values: Vector) -> str:
-        """Write labelled numbers as the guide prints them: a space before a positive one."""
+        """Format labelled numbers as in the guide: with a space before a positive one."""
         numbers = [round(float(value)) for value in values]
         draw = self.style.spacing
         if draw is None:
@@ -560,10 +560,10 @@ class AclController:
             for label, number in zip(labels, numbers, strict=True)
         )
 
-    # The arm as the controller knows it.
+    # State of the arm as known to the controller.
 
     def _shown(self, now_s: float) -> Vector:
-        """Return the present position as the controller believes it, by its counts."""
+        """Return the present position according to the controller's counts."""
         joints = self._joints(now_s)
         counts = np.round((joints - self._zero) * COUNTS_PER_RAD)
         if self.homed:
@@ -574,7 +574,7 @@ class AclController:
         return self._arm.position(now_s) if self._encoders is None else self._encoders()
 
     def _counts_of(self, units: Vector) -> Vector:
-        """Return a position's counts; zeros for one that the arm cannot reach, which is kept."""
+        """Return a position's counts; zeros for one out of reach, which is stored nevertheless."""
         joints = inverse(units)
         if joints is None:
             return np.zeros(5)

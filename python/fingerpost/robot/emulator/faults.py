@@ -1,4 +1,4 @@
-"""What can be made to go wrong on demand."""
+"""Faults that can be simulated."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 class Fault(StrEnum):
     """A fault that an emulator can simulate.
 
-    Those of the arm happen at once or with the next command that they concern; those of the line
-    spoil the next transfer.
+    Faults of the arm occur at once or with the next command concerned; those of the line affect the
+    next transfer.
     """
 
     IMPACT = "impact"
@@ -37,10 +37,10 @@ class Fault(StrEnum):
 LINE_FAULTS = frozenset(
     {Fault.GARBAGE, Fault.CUT, Fault.SILENT, Fault.SLOW, Fault.GARBLED_INPUT, Fault.XOFF}
 )
-"""Faults of the line, whatever is at its end."""
+"""Faults of the line, independent of the controller."""
 
 GARBAGE_BYTES = 3
-"""How many bytes of noise come at a time."""
+"""Number of bytes per burst of noise."""
 
 XOFF = b"\x13"
 
@@ -51,9 +51,9 @@ class LineFaults:
     Parameters
     ----------
     rng : numpy.random.Generator
-        Chooses the bytes and places.
+        Chooses bytes and positions.
     slow_s : float
-        How late a slow answer is [s].
+        Delay of a slow answer [s].
     """
 
     def __init__(self, rng: np.random.Generator, slow_s: float) -> None:
@@ -62,19 +62,19 @@ class LineFaults:
         self._due: dict[Fault, int] = {}
 
     def inject(self, fault: Fault, count: int) -> None:
-        """Spoil the next `count` transfers in this way."""
+        """Apply this fault to the next `count` transfers."""
         self._due[fault] = self._due.get(fault, 0) + count
 
     def clear(self) -> None:
-        """Let everything through again."""
+        """Remove all faults."""
         self._due.clear()
 
     def on_input(self, data: bytes) -> bytes:
-        """Return what the controller gets of what was sent to it."""
+        """Return the bytes that the controller receives of those sent."""
         return self._scrambled(data) if self._take(Fault.GARBLED_INPUT) else data
 
     def on_output(self, data: bytes) -> tuple[bytes, float]:
-        """Return what leaves the controller's port, and how late [s]."""
+        """Return the bytes that leave the controller's port, and their delay [s]."""
         if self._take(Fault.SILENT):
             return b"", 0.0
         if self._take(Fault.CUT):

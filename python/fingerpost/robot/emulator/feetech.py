@@ -1,8 +1,8 @@
-"""The six servos of an SO-101 on their bus, as far as its one wire can tell.
+"""Emulation of the six servos of an SO-101, as seen from their bus.
 
 Bytes in, bytes out, at given times, as in `fingerpost.robot.emulator.acl`. Packets follow Feetech's
-protocol manual of the SCS and STS series, and the memory is that of an STS3215. A servo goes to its
-goal at its goal speed, without ramps; the arm's joints carry no load.
+protocol manual of the SCS and STS series, and the memory is that of an STS3215. A servo moves to
+its goal at its goal speed, without ramps; the arm's joints carry no load.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ STS3215 = 777
 """The model's own number."""
 
 GREATEST_SPEED = 3400
-"""What a goal speed of 0 means [counts/s]: 50 rpm."""
+"""Speed for a goal speed of 0 [counts/s]: 50 rpm."""
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 
@@ -74,10 +74,10 @@ CALIBRATION = {
         "range_max": 3510,
     },
 }
-"""Of the emulated arm, as `lerobot-calibrate` would write it."""
+"""Calibration of the emulated arm, as `lerobot-calibrate` would write it."""
 
 START = {1: 2025, 2: 1500, 3: 2500, 4: 2600, 5: 2048, 6: 3000}
-"""Where the servos stand at first [counts]: the gripper above the table in front."""
+"""Initial positions of the servos [counts]: the gripper is above the table in front."""
 
 _FAULT_BITS = {
     Fault.UNDERVOLTAGE: (1, 0x01),
@@ -85,7 +85,7 @@ _FAULT_BITS = {
     Fault.IMPACT: (3, 0x08),
     Fault.OVERLOAD: (2, 0x20),
 }
-"""Which servo reports which bit."""
+"""Servo and bit of each fault."""
 
 
 def calibration_file() -> bytes:
@@ -95,18 +95,18 @@ def calibration_file() -> bytes:
 
 @dataclass(slots=True)
 class Servo:
-    """One servo: its memory, and where it is between two goals.
+    """One servo: its memory, and its position between two goals.
 
     Attributes
     ----------
     position : float
-        Where it was when its goal or speed last changed [counts].
+        Position at the last change of its goal or speed [counts].
     since_s : float
-        When that was [s].
+        Time of that change [s].
     blocked_at : float or None
-        It gets no further than this, in either direction [counts].
+        Position at which it is blocked, from either direction [counts].
     faults : int
-        The bits that it reports until its torque is switched on anew.
+        Fault bits, reported until its torque is switched on again.
     """
 
     position: float
@@ -117,7 +117,7 @@ class Servo:
     faults: int = 0
 
     def at(self, now_s: float) -> float:
-        """Return where it is [counts]."""
+        """Return its position [counts]."""
         goal = float(self._word(GOAL_POSITION))
         if not self.memory[TORQUE_ENABLE] or self.stuck:
             return self.position
@@ -132,14 +132,14 @@ class Servo:
         return self.at(now_s) != self.at(now_s + 60.0)
 
     def write(self, address: int, data: bytes, now_s: float) -> None:
-        """Take bytes into its memory."""
+        """Write bytes to its memory."""
         self.position, self.since_s = self.at(now_s), now_s
         self.memory[address : address + len(data)] = data
         if address <= TORQUE_ENABLE < address + len(data) and self.memory[TORQUE_ENABLE]:
             self.faults = 0
 
     def read(self, address: int, length: int, now_s: float) -> bytes:
-        """Return bytes of its memory, with what it measures now."""
+        """Return bytes of its memory, with present measurements."""
         self._put(PRESENT_POSITION, round(self.at(now_s)))
         self.memory[MOVING] = self.is_moving(now_s)
         return bytes(self.memory[address : address + length])
@@ -173,11 +173,11 @@ class FeetechBus:
     Attributes
     ----------
     servos : dict of int to Servo
-        By their numbers.
+        The servos, by number.
     lost : set of int
-        Those whose cable is out.
+        Numbers of disconnected servos.
     goals : int
-        How often goals were written to all joints at once.
+        Number of times that goals were written to all joints at once.
     """
 
     def __init__(self) -> None:
@@ -187,27 +187,27 @@ class FeetechBus:
         self._waiting = bytearray()
         self._received = b""
 
-    # What a port calls.
+    # Interface to a port.
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Take bytes from the line at a time [s]."""
+        """Process bytes received at a time [s]."""
         self._received += data
         while (packet := self._next_packet()) is not None:
             self._carry_out(packet, now_s)
 
     def poll(self, now_s: float) -> bytes:
-        """Return what the servos have to send by now."""
+        """Return the bytes that the servos send by now."""
         del now_s  # they answer at once
         data = bytes(self._waiting)
         self._waiting.clear()
         return data
 
     def next_due_s(self) -> float | None:
-        """Return None: servos speak when they are asked."""
+        """Return None: servos only answer."""
         return None
 
     def inject(self, fault: Fault, now_s: float) -> None:
-        """Have a fault of a servo; those that no servo has are passed over."""
+        """Simulate a fault of a servo; other faults are ignored."""
         if fault is Fault.LOST_SERVO:
             self.lost.add(3)
         elif fault is Fault.STICK:
@@ -218,10 +218,10 @@ class FeetechBus:
             number, bit = _FAULT_BITS[fault]
             self.servos[number].faults |= bit
 
-    # The truth, for tests.
+    # True state, for tests.
 
     def positions(self, now_s: float) -> dict[int, float]:
-        """Return where the servos really are [counts]."""
+        """Return the true positions of the servos [counts]."""
         return {number: servo.at(now_s) for number, servo in self.servos.items()}
 
     def is_moving(self, now_s: float) -> bool:
@@ -229,7 +229,7 @@ class FeetechBus:
         return any(servo.is_moving(now_s) for servo in self.servos.values())
 
     def heal(self) -> None:
-        """Mend the servos and put their cables back."""
+        """Remove all faults, and reconnect the servos."""
         self.lost.clear()
         for servo in self.servos.values():
             servo.faults, servo.stuck = 0, False
@@ -237,7 +237,7 @@ class FeetechBus:
     # The dialogue.
 
     def _next_packet(self) -> bytes | None:
-        """Return the next packet from its servo's number to its checksum; drop what is none."""
+        """Return the next packet from its servo's number to its checksum; drop other bytes."""
         while True:
             start = self._received.find(b"\xff\xff")
             if start < 0:

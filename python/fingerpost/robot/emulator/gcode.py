@@ -1,9 +1,9 @@
-"""Small emulated G-code arms: Marlin with numbered lines and sums, and uArm with `#n` and `$n`.
+"""Emulation of small G-code arms: Marlin with line numbers and checksums, uArm with `#n` and `$n`.
 
-Bytes in, bytes out, at given times, as in `fingerpost.robot.emulator.acl`. A uArm's words and
-habits are those of the vendor's protocol 4.2 and firmware 4.10: questions (`P…`) are answered at
-once, everything else in its order when the arm stands. While it plans a long `G1`, it reads nothing
-but Ctrl-X; what that cuts off leaves the number of its answer, without a line's end.
+Bytes in, bytes out, at given times, as in `fingerpost.robot.emulator.acl`. The uArm follows the
+vendor's protocol 4.2 and firmware 4.10: queries (`P…`) are answered at once, all other commands in
+order, when the arm stands. While it plans a long `G1`, it only reads Ctrl-X; an interrupted motion
+leaves the number of its answer, without a line's end.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from fingerpost.robot.emulator.mechanics import (
 from fingerpost.robot.motion import MotionQueue, Vector, straight
 
 PARKED_FROM_HOME_MM = np.array([10.0, 20.0, -30.0])
-"""Where an arm stands when it is switched on."""
+"""Position of an arm when it is switched on, relative to home."""
 
 BUSY_S = 2.0
-"""Marlin says that it is busy this often [s]."""
+"""Interval of Marlin's busy messages [s]."""
 
 MARLIN_BLOCKS, UARM_BLOCKS = 16, 18
-"""Blocks that they plan ahead; until the last ones of a move fit, they do nothing else."""
+"""Blocks that they plan ahead; until the last ones of a move fit, they process nothing else."""
 
 UARM_FIRMWARE = "V4.10.0"
 
 CTRL_X = b"\x18"
 
 COASTING_S = 0.005
-"""A motor that is stopped without slowing down slips by the way of this time [s]."""
+"""Time whose travel a motor slips when it is stopped without deceleration [s]."""
 
 _WORD = re.compile(r"([A-Z])(-?\d+(?:\.\d+)?)")
 _NUMBERED = re.compile(r"^N(\d+)\s*(\S.*)\*(\d+)$")
@@ -47,7 +47,7 @@ _EMERGENCY = re.compile(r"^(?:N\d+ ?)?(M410|M112)(?:\*\d+)?$")
 
 @dataclass(slots=True)
 class _Deferred:
-    """An answer that is due when the motion before it has ended."""
+    """An answer that is due at the end of the previous motion."""
 
     due_s: float
     text: str
@@ -56,7 +56,7 @@ class _Deferred:
 
 @dataclass(frozen=True, slots=True)
 class _Planned:
-    """When a motion will all be planned, and have ended [s]; whether it ends at its goal."""
+    """Times at which a motion is completely planned, and ended [s]; whether it reaches its goal."""
 
     planned_s: float
     end_s: float
@@ -64,7 +64,7 @@ class _Planned:
 
 
 class GcodeController:
-    """The part that the dialects share: an arm, queued lines and answers due later.
+    """Common part of the dialects: an arm, queued lines and deferred answers.
 
     Parameters
     ----------
@@ -76,13 +76,13 @@ class GcodeController:
     Attributes
     ----------
     closed : bool
-        The tool holds something.
+        Whether the tool is closed.
     homed : bool
-        Homing has been done.
+        Whether homing has been done.
     moves : int
-        Moves accepted.
+        Number of accepted moves.
     stops : int
-        Stops that were acted on.
+        Number of executed stops.
     """
 
     def __init__(self, mechanics: Mechanics, blocks: int) -> None:
@@ -103,7 +103,7 @@ class GcodeController:
         self._ran_s = -math.inf
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Take bytes from the line at a time [s]."""
+        """Process bytes received at a time [s]."""
         self._run_events(now_s)
         for byte in data:
             if self._urgent_byte(byte, now_s):
@@ -118,18 +118,18 @@ class GcodeController:
         self._run_events(now_s)
 
     def poll(self, now_s: float) -> bytes:
-        """Return what the controller has to send by now."""
+        """Return the bytes that the controller sends by now."""
         self._run_events(now_s)
         data = bytes(self._output)
         self._output.clear()
         return data
 
     def next_due_s(self) -> float | None:
-        """Return when it will next send something by itself [s], or None."""
+        """Return the time of the next unsolicited transmission [s], or None."""
         return min((answer.due_s for answer in self._deferred), default=None)
 
     def inject(self, fault: Fault, now_s: float) -> None:
-        """Have a fault: `IMPACT` restarts the controller, others concern the next move."""
+        """Simulate a fault: `IMPACT` restarts the controller, others concern the next move."""
         if fault is Fault.IMPACT:
             self._arm.abort(now_s)
             self._forget()
@@ -139,22 +139,22 @@ class GcodeController:
             self._due.append(fault)
 
     def position_mm(self, now_s: float) -> Vector:
-        """Return where the hand really is: X, Y, Z [mm]."""
+        """Return the true position of the hand: X, Y, Z [mm]."""
         return self._arm.position(now_s) + self._slipped_mm
 
     def is_moving(self, now_s: float) -> bool:
         """Whether the arm moves."""
         return self._arm.is_moving(now_s)
 
-    # What the dialects add.
+    # Hooks of the dialects.
 
     def _urgent_byte(self, byte: int, now_s: float) -> bool:
-        """Act on a byte that waits for no line; True if it was one."""
+        """Execute an urgent byte; return whether it was one."""
         del byte, now_s
         return False
 
     def _look_ahead(self, line: str, now_s: float) -> None:
-        """Act on a line that waits for no queue; its turn comes as well."""
+        """Execute an urgent line ahead of the queue; it is also executed in turn."""
 
     def _carry_out(self, line: str, now_s: float) -> None:
         raise NotImplementedError
@@ -163,10 +163,10 @@ class GcodeController:
         """Whether the controller is too busy to read."""
         raise NotImplementedError
 
-    # What they share.
+    # Common part.
 
     def _run_events(self, now_s: float) -> None:
-        """Do what is due, one moment after the other."""
+        """Process due events in order of time."""
         while (due_s := self.next_due_s()) is not None and due_s <= now_s:
             self._run_moment(max(due_s, self._ran_s))
         self._run_moment(now_s)
@@ -182,13 +182,13 @@ class GcodeController:
             self._carry_out(self._lines.pop(0), now_s)
 
     def _forget(self) -> None:
-        """Forget everything that waits."""
+        """Drop everything that waits."""
         self._deferred.clear()
         self._lines.clear()
         self._input.clear()
 
     def _go(self, word: str, command: str, now_s: float) -> _Planned | None:
-        """Queue a G0 or G1; None where the arm cannot go."""
+        """Queue a G0 or G1; return None out of reach."""
         words = dict(_WORD.findall(command))
         goal_mm = self._arm.end.copy()
         for place, letter in enumerate("XYZ"):
@@ -208,7 +208,7 @@ class GcodeController:
         return _Planned(start_s + ahead * (end_s - start_s), end_s, run.whole)
 
     def _end_s(self, now_s: float) -> float:
-        """Return when everything queued will have ended [s]."""
+        """Return the end of all queued motion [s]."""
         still = straight(self._arm.end, self._arm.end, lengths=slice(0, 3))
         return self._arm.add(still, 1.0, 1.0, now_s)
 
@@ -224,22 +224,22 @@ class GcodeController:
 
 
 class MarlinController(GcodeController):
-    """Marlin: numbered lines with sums, `ok`, `Resend`, `M400`, `M114` and `M410`.
+    """Marlin: numbered lines with checksums, `ok`, `Resend`, `M400`, `M114` and `M410`.
 
     Parameters
     ----------
     mechanics : Mechanics, optional
         The arm; a Cartesian one by default.
     home_command : str
-        `G28`, or what the arm has instead.
+        `G28`, or the arm's own command.
     homing_s : float
-        Time that homing takes [s].
+        Duration of homing [s].
     emergency_parser : bool
-        Look for `M410` in the stream; without, it waits until the controller reads its line.
+        Whether to detect `M410` in the stream; otherwise it waits until its line is read.
     resend_ok : bool
-        Say `ok` after `Resend`, as versions before 2.0.8 do.
+        Whether to send `ok` after `Resend`, as versions before 2.0.8 do.
     slips : bool
-        The motors slip when `M410` stops them on their way, and nothing reports it.
+        Whether motors slip, without notice, when `M410` stops them during motion.
     """
 
     def __init__(
@@ -310,7 +310,7 @@ class MarlinController(GcodeController):
             self.homed = False
             self._say("Error:Printer halted. kill() called!")
         elif word == "M114":
-            x, y, z = self._arm.end  # where it is going, as Marlin reports it
+            x, y, z = self._arm.end  # the goal, as Marlin reports it
             self._say(f"X:{x:.2f} Y:{y:.2f} Z:{z:.2f} E:0.00 Count X:0 Y:0 Z:0\nok")
         elif word == "M115":
             self._say("FIRMWARE_NAME:Marlin (emulated) PROTOCOL_VERSION:1.0 EXTRUDER_COUNT:0")
@@ -353,7 +353,7 @@ class MarlinController(GcodeController):
         *,
         text: str = "ok",
     ) -> None:
-        """Answer at a time, and say meanwhile that it takes long."""
+        """Answer at a later time, with busy messages until then."""
         if end_s <= now_s:
             finish()
             self._say(text)
@@ -363,7 +363,7 @@ class MarlinController(GcodeController):
         self._deferred.append(_Deferred(end_s, text, finish))
 
     def _quick_stop(self, now_s: float) -> None:
-        """Stop all motors where they are; what waited for their motion goes on."""
+        """Stop all motors at once; lines that waited for their motion continue."""
         self.stops += 1
         if self.is_moving(now_s) and self._slips:
             way_mm = self._arm.position(now_s) - self._arm.position(now_s - COASTING_S)
@@ -381,7 +381,7 @@ def make_dexarm(homing_s: float) -> MarlinController:
     Parameters
     ----------
     homing_s : float
-        Time that homing takes [s].
+        Duration of homing [s].
     """
     return MarlinController(DexarmMechanics(), home_command="M1112", homing_s=homing_s, slips=False)
 
@@ -392,16 +392,16 @@ class UarmController(GcodeController):
     Parameters
     ----------
     firmware : str
-        Its version. Those before 4 take Ctrl-X for a character of the next line.
+        Its version. Those before 4 treat Ctrl-X as a character of the next line.
     """
 
     def __init__(self, firmware: str = UARM_FIRMWARE) -> None:
         super().__init__(UarmMechanics(), UARM_BLOCKS)
         self._firmware = firmware
-        self._planning = ("", 0.0)  # the tag of what is being planned, and until when [s]
+        self._planning = ("", 0.0)  # tag of the motion being planned, and the end of planning [s]
 
     def next_due_s(self) -> float | None:
-        """Return when it will next send something by itself [s], or None."""
+        """Return the time of the next unsolicited transmission [s], or None."""
         due_s = super().next_due_s()
         if not self._lines:
             return due_s
@@ -430,7 +430,7 @@ class UarmController(GcodeController):
     def _carry_out(self, line: str, now_s: float) -> None:
         head, _, command = line.partition(" ")
         if not re.fullmatch(r"#\d+", head) or not command:
-            return  # as the firmware does with what it does not know
+            return  # as the firmware does for unknown commands
         tag = f"${head[1:]}"
         word = command.split()[0]
         if word in ("G0", "G1"):

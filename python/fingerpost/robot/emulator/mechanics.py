@@ -1,7 +1,7 @@
-"""What an emulated G-code arm does with a command to go somewhere.
+"""Interpolation of an emulated G-code arm.
 
-`G0` of an arm with joints is one straight line of these, and a curve of the hand. `G1` is a chain
-of such lines between points of the straight line of the hand.
+`G0` of an arm with joints is one straight line in joint space, and a curve of the hand. `G1` is a
+chain of such lines between points on a straight line of the hand.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ class Run:
     Attributes
     ----------
     path : Path
-        The hand's way [mm]; its length may be in another unit.
+        Path of the hand [mm]; its length may be in another unit.
     speed, acceleration : float
-        How fast it is run, in the unit of the path's length, per second and per second².
+        Speed and acceleration, in the unit of the path's length, per second and per second².
     pieces : int
-        Blocks of the planner that it takes.
+        Number of blocks of the planner.
     whole : bool
-        It ends where it was to.
+        Whether it ends at its goal.
     """
 
     path: Path
@@ -40,19 +40,19 @@ class Run:
 
 
 class Mechanics(Protocol):
-    """An arm, and how its controller moves it from one place to another."""
+    """An arm, and the interpolation of its controller."""
 
     home_mm: Vector
-    """Where homing goes: X, Y, Z [mm]."""
+    """Home position: X, Y, Z [mm]."""
 
     def reaches(self, position_mm: Vector) -> bool:
-        """Whether the hand can be somewhere."""
+        """Whether the hand can reach a position."""
 
     def rapid(self, start_mm: Vector, goal_mm: Vector, feed: float) -> Run:
-        """Return what `G0` does."""
+        """Return the motion of `G0`."""
 
     def line(self, start_mm: Vector, goal_mm: Vector, feed: float) -> Run:
-        """Return what `G1` does."""
+        """Return the motion of `G1`."""
 
 
 class CartesianMechanics:
@@ -77,7 +77,7 @@ class CartesianMechanics:
 
 
 class _Palletising:
-    """An arm with joints; what its firmware makes of `F` differs."""
+    """An arm with joints; the meaning of `F` depends on its firmware."""
 
     def __init__(self, arm: Palletiser, home_mm: Vector) -> None:
         self.home_mm = home_mm
@@ -90,15 +90,15 @@ class _Palletising:
     def _joints_along(self, start_mm: Vector, goal_mm: Vector, pieces: int) -> Joints:
         """Return the joints at the ends of the pieces of a straight line of the hand.
 
-        They are NaN where the arm cannot be.
+        They are NaN out of reach.
         """
         shares = np.linspace(0.0, 1.0, pieces + 1)[:, None]
         return self._arm.joints_deg(start_mm + shares * (goal_mm - start_mm))
 
     def _chain(self, joints: Joints, lengths: Vector) -> Path:
-        """Return the path through joint angles (N, 3), straight between them.
+        """Return the path through joint angles (N, 3), with linear interpolation.
 
-        The lengths (N,) are those from its start, in any unit.
+        The lengths (N,) are measured from its start, in any unit.
         """
 
         def at(share: float) -> Vector:
@@ -110,12 +110,12 @@ class _Palletising:
 
 
 def _turned_deg(joints: Joints) -> Vector:
-    """Return how far the joints have turned at each of a chain's points [°]."""
+    """Return the total rotation of the joints at each of a chain's points [°]."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(joints, axis=0), axis=1))])
 
 
 class UarmMechanics(_Palletising):
-    """uArm Swift Pro: `F` counts 80° of the joints a minute, at most 100 of them for `G1`."""
+    """uArm Swift Pro: `F` has the unit 80° of the joints per minute, at most 100 for `G1`."""
 
     UNIT_DEG = 80.0
     GREATEST_FEED = 100.0
@@ -132,7 +132,7 @@ class UarmMechanics(_Palletising):
         return self._run(self._joints_along(start_mm, goal_mm, 1), feed)
 
     def line(self, start_mm: Vector, goal_mm: Vector, feed: float) -> Run:
-        """Go straight, at a steady speed of the joints; what is out of reach is left out."""
+        """Move straight, at a constant speed of the joints; parts out of reach are left out."""
         feed = min(feed, self.GREATEST_FEED)
         length_mm = math.dist(start_mm, goal_mm)
         pieces = max(self.LEAST_PIECES, int(length_mm * self.PIECES_PER_MM / feed))
@@ -150,7 +150,7 @@ class DexarmMechanics(_Palletising):
     PIECES_PER_S = 200.0
     LEAST_PIECE_MM = 0.5
     ACCELERATION = 400.0
-    """Of the hand and of the joints alike [mm/s², °/s²]."""
+    """Acceleration of the hand and of the joints [mm/s², °/s²]."""
 
     def __init__(self) -> None:
         super().__init__(DEXARM, np.array([0.0, 300.0, 0.0]))
@@ -161,7 +161,7 @@ class DexarmMechanics(_Palletising):
         return Run(self._chain(joints, _turned_deg(joints)), feed / 60, self.ACCELERATION)
 
     def line(self, start_mm: Vector, goal_mm: Vector, feed: float) -> Run:
-        """Go straight, at a steady speed of the hand, as far as the joints reach."""
+        """Move straight, at a constant speed of the hand, as far as the joints reach."""
         length_mm = math.dist(start_mm, goal_mm)
         pieces = min(self.PIECES_PER_S * length_mm * 60 / feed, length_mm / self.LEAST_PIECE_MM)
         joints = self._joints_along(start_mm, goal_mm, max(1, int(pieces)))

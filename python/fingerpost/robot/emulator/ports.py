@@ -1,4 +1,4 @@
-"""Where an emulated controller is plugged in: a pseudo-terminal or a TCP port, and its thread."""
+"""Ports of an emulated controller, a pseudo-terminal or TCP, and the thread that serves them."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from fingerpost.robot.serial_line import LAST_PORT
 READ_SIZE = 4096
 
 TIME_SCALES = (1e-3, 1e6)
-"""An arm may live so many times as fast as we do: so far, its clock keeps its digits."""
+"""Range of the ratio of the arm's time to real time, within which its clock keeps its precision."""
 
 
 class ArmTime:
-    """The clock of an arm that lives faster than we do; give it to the driver as well.
+    """The clock of an arm with accelerated time; the driver must use it as well.
 
     Parameters
     ----------
     scale : float
-        Seconds of the arm per second of ours, in `TIME_SCALES`.
+        Seconds of the arm per second of real time, in `TIME_SCALES`.
 
     Raises
     ------
     InvalidInputError
-        The scale is out of its range.
+        The scale is out of range.
     """
 
     def __init__(self, scale: float = 1.0) -> None:
@@ -59,39 +59,39 @@ class ArmTime:
 
 
 class Controller(Protocol):
-    """What sits behind a port: bytes in, bytes out, at given times."""
+    """A controller behind a port: bytes in, bytes out, at given times."""
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Take bytes from the line."""
+        """Process received bytes."""
 
     def poll(self, now_s: float) -> bytes:
-        """Return what it has to send by now."""
+        """Return the bytes that it sends by now."""
 
     def next_due_s(self) -> float | None:
-        """Return when it will next send something by itself [s], or None."""
+        """Return the time of the next unsolicited transmission [s], or None."""
 
     def inject(self, fault: Fault, now_s: float) -> None:
-        """Have a fault."""
+        """Simulate a fault."""
 
 
 class Port(ABC):
-    """One end of a line that can be pulled out and put back."""
+    """One end of a line that can be disconnected and reconnected."""
 
     @property
     @abstractmethod
     def address(self) -> str:
-        """What a driver opens."""
+        """Address that a driver opens."""
 
     @abstractmethod
     def plug(self) -> None:
-        """Make the port; harmless when it is there."""
+        """Create the port; harmless if it exists."""
 
     @abstractmethod
     def unplug(self) -> None:
-        """Take the port away; harmless when it is gone."""
+        """Remove the port; harmless if it does not exist."""
 
     def close(self) -> None:
-        """Take the port away for good."""
+        """Remove the port permanently."""
         self.unplug()
 
     @abstractmethod
@@ -104,16 +104,16 @@ class Port(ABC):
 
     @abstractmethod
     def write(self, data: bytes) -> None:
-        """Send; what the line does not take is lost."""
+        """Send; bytes that the line does not accept are lost."""
 
 
 class PtyPort(Port):
-    """A pseudo-terminal behind a link, so that its name outlives the cable being pulled.
+    """A pseudo-terminal behind a link, so that its name persists when it is disconnected.
 
     Parameters
     ----------
     link : path, optional
-        Where to put the link, in an existing folder; a fresh directory by default.
+        Path of the link, in an existing folder; in a new directory by default.
     """
 
     def __init__(self, link: str | os.PathLike[str] | None = None) -> None:
@@ -124,7 +124,7 @@ class PtyPort(Port):
 
     @property
     def address(self) -> str:
-        """Path of the link; empty until it is first plugged in, unless it was given."""
+        """Path of the link; empty before the first connection, unless it was given."""
         return str(self._link or "")
 
     def plug(self) -> None:
@@ -133,7 +133,7 @@ class PtyPort(Port):
         Raises
         ------
         InvalidInputError
-            The link cannot be put there, or something else than a link is there.
+            The link cannot be created, or the path is not a link.
         """
         if self._master is not None:
             return
@@ -158,7 +158,7 @@ class PtyPort(Port):
             ) from error
 
     def unplug(self) -> None:
-        """Close it, as when a USB adapter is pulled out."""
+        """Close it, as when a USB adapter is disconnected."""
         is_plugged = self._master is not None
         self._close_ends()
         if self._link is not None and is_plugged:
@@ -182,7 +182,7 @@ class PtyPort(Port):
         return [] if self._master is None else [self._master]
 
     def read(self, ready: int) -> bytes:
-        """Read what the driver sent."""
+        """Read bytes from the driver."""
         with suppress(OSError):
             return os.read(ready, READ_SIZE)
         return b""
@@ -228,7 +228,7 @@ class TcpPort(Port):
         Raises
         ------
         InvalidInputError
-            Another program listens there, or we may not.
+            Another program uses the port, or permission is denied.
         """
         if self._listener is None:
             try:
@@ -241,7 +241,7 @@ class TcpPort(Port):
             self._wanted = self._listener.getsockname()[:2]
 
     def unplug(self) -> None:
-        """Hang up and stop listening."""
+        """Disconnect and stop listening."""
         for end in (self._peer, self._listener):
             if end is not None:
                 end.close()
@@ -252,7 +252,7 @@ class TcpPort(Port):
         return [end.fileno() for end in (self._listener, self._peer) if end is not None]
 
     def read(self, ready: int) -> bytes:
-        """Accept a driver, or read what it sent."""
+        """Accept a driver, or read bytes from it."""
         if self._listener is not None and ready == self._listener.fileno():
             if self._peer is not None:
                 self._peer.close()
@@ -277,7 +277,7 @@ class TcpPort(Port):
 
 
 class HostPort(TcpPort):
-    """A TCP port of a server that is no serial line: its address is `host:port` alone."""
+    """A TCP port of a server without a serial line: its address is `host:port` alone."""
 
     @property
     def address(self) -> str:
@@ -287,14 +287,14 @@ class HostPort(TcpPort):
 
 @dataclass(frozen=True, slots=True)
 class WireEvent:
-    """One transfer as the controller's port saw it.
+    """One transfer at the controller's port.
 
     Attributes
     ----------
     time_s : float
-        When, by `time.monotonic` [s].
+        Time by `time.monotonic` [s].
     sent : bool
-        True from the controller to the driver.
+        Whether from the controller to the driver.
     data : bytes
         The bytes.
     """
@@ -310,20 +310,20 @@ class PluggedController:
     Parameters
     ----------
     controller : Controller
-        What answers.
+        The controller.
     port : Port
-        Where it is plugged in.
+        Its port.
     clock : callable, optional
-        The arm's time [s]; ours by default.
+        The arm's time [s]; real time by default.
     rng : numpy.random.Generator, optional
         For the noise of faults; seeded with 0 by default.
     slow_s : float
-        How late a slow answer is, by the arm's clock [s].
+        Delay of a slow answer, on the arm's clock [s].
 
     Attributes
     ----------
     wire : list of WireEvent
-        Every transfer so far.
+        All transfers.
     """
 
     def __init__(
@@ -344,7 +344,7 @@ class PluggedController:
 
     @property
     def address(self) -> str:
-        """What a driver opens."""
+        """Address that a driver opens."""
         return self._port.address
 
     @property
@@ -365,14 +365,14 @@ class PluggedController:
         self._port.close()
 
     def inject(self, fault: Fault, *, count: int = 1) -> None:
-        """Have a fault.
+        """Simulate a fault.
 
         Parameters
         ----------
         fault : Fault
-            Which.
+            The fault.
         count : int
-            How many transfers or commands it spoils, where that means something.
+            Number of transfers or commands affected, if applicable.
         """
         for _ in range(count):
             if fault is Fault.UNPLUG:
@@ -385,11 +385,11 @@ class PluggedController:
                 self._controller.inject(fault, self.now_s)
 
     def heal(self) -> None:
-        """Take the noise off the line."""
+        """Remove the faults of the line."""
         self._faults.clear()
 
     def serve(self) -> None:
-        """Take what was sent to the controller, send what it has to say, and wait for nothing."""
+        """Transfer bytes to and from the controller, without waiting."""
         descriptors = self._port.descriptors()
         self._answer(select.select(descriptors, [], [], 0.0)[0] if descriptors else [])
 
@@ -401,7 +401,7 @@ class PluggedController:
         self._send()
 
     def _due_s(self) -> float | None:
-        """Return how soon there will be something to send by itself [s of the arm], or None."""
+        """Return the time until the next unsolicited transmission [s of the arm], or None."""
         due_s = [late_s for late_s, _ in self._late]
         if (next_s := self._controller.next_due_s()) is not None:
             due_s.append(next_s)
@@ -435,7 +435,7 @@ class Emulator(PluggedController):
     controller, port, rng, slow_s
         As for `PluggedController`.
     clock : ArmTime, optional
-        The arm's clock; ours by default.
+        The arm's clock; real time by default.
     """
 
     def __init__(
@@ -474,7 +474,7 @@ class Emulator(PluggedController):
         os.close(self._wake_in)
 
     def inject(self, fault: Fault, *, count: int = 1) -> None:
-        """Have a fault; returns when the controller has it.
+        """Simulate a fault; return when the controller has it.
 
         Parameters
         ----------

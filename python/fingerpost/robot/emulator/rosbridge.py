@@ -1,9 +1,9 @@
-"""A rosbridge server with an arm behind it, as far as its WebSocket can tell.
+"""Emulation of a rosbridge server with an arm, as seen from its WebSocket.
 
 Bytes in, bytes out, at given times, as in `fingerpost.robot.emulator.acl`: the handshake and frames
-of a WebSocket (`websockets` without input and output), and in them the operations of rosbridge's
-protocol 2.0 that the driver uses. The arm goes to each target at one speed, as a controller of
-Cartesian impedance does, and says where it is 50 times a second.
+of a WebSocket (`websockets` without input and output), with the operations of rosbridge's protocol
+2.0 that the driver uses. The arm moves to each target at one speed, like a Cartesian impedance
+controller, and publishes its pose 50 times a second.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ TARGET_TOPIC, POSE_TOPIC = "/fingerpost/target", "/fingerpost/pose"
 SERVICES = ("/fingerpost/start", "/fingerpost/stop", "/fingerpost/open", "/fingerpost/close")
 
 POSE_S = 0.02
-"""Between two poses that it publishes [s]."""
+"""Interval of published poses [s]."""
 
 SPEED_M_S = 1.0
-"""It goes to a target at this [m/s]."""
+"""Speed of motion to a target [m/s]."""
 
 START_M = (0.3, 0.0, 0.3)
 START_Q = {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}
-"""Where it stands at first [m], its tool straight down."""
+"""Initial position [m], with the tool straight down."""
 
 _HANDSHAKE = b"GET "
 
@@ -41,13 +41,13 @@ class RosbridgeServer:
     Attributes
     ----------
     operations : list of dict
-        Every operation that came, for tests.
+        All operations received, for tests.
     calls : list of str
-        Every service that was called.
+        All services called.
     frame : str
-        The frame of the poses that it publishes.
+        The frame of the published poses.
     refuses : dict of str to str
-        Services that say no, and what they say.
+        Services that refuse, with their messages.
     """
 
     def __init__(self) -> None:
@@ -64,10 +64,10 @@ class RosbridgeServer:
         self._is_published, self._silent = False, False
         self._next_pose_s = 0.0
 
-    # What a port calls.
+    # Interface to a port.
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Take bytes from the line at a time [s]."""
+        """Process bytes received at a time [s]."""
         if data.startswith(_HANDSHAKE):
             self._protocol = self._server.ServerProtocol()
             self._is_published = False
@@ -81,7 +81,7 @@ class RosbridgeServer:
                 self._carry_out(msgspec.json.decode(event.data), now_s)
 
     def poll(self, now_s: float) -> bytes:
-        """Return what the server has to send by now."""
+        """Return the bytes that the server sends by now."""
         if self._protocol is None:
             return b""
         if self._is_published and not self._silent and now_s >= self._next_pose_s:
@@ -90,11 +90,11 @@ class RosbridgeServer:
         return b"".join(self._protocol.data_to_send())
 
     def next_due_s(self) -> float | None:
-        """Return when it will next publish a pose [s], or None."""
+        """Return the time of the next published pose [s], or None."""
         return self._next_pose_s if self._is_published and not self._silent else None
 
     def inject(self, fault: Fault, now_s: float) -> None:
-        """Have a fault of the arm or its nodes; those that none has are passed over."""
+        """Simulate a fault of the arm or its nodes; other faults are ignored."""
         if fault is Fault.STICK:
             self._start = self._goal = self.position_m(now_s)
             self._stuck = True
@@ -105,10 +105,10 @@ class RosbridgeServer:
         elif fault is Fault.OUT_OF_RANGE:
             self.refuses = dict.fromkeys(SERVICES, "in collision")
 
-    # The truth, for tests.
+    # True state, for tests.
 
     def position_m(self, now_s: float) -> Vector:
-        """Return where the tool is [m]."""
+        """Return the position of the tool [m]."""
         way = self._goal - self._start
         length_m = float(np.linalg.norm(way))
         gone_m = SPEED_M_S * max(0.0, now_s - self._since_s)
@@ -121,7 +121,7 @@ class RosbridgeServer:
         return bool((self.position_m(now_s) != self._goal).any())
 
     def heal(self) -> None:
-        """Have the arm and its nodes work again."""
+        """Remove all faults of the arm and its nodes."""
         self._stuck = self._silent = False
         self.refuses = {}
         self.frame = FRAME

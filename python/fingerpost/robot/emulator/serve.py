@@ -1,4 +1,4 @@
-"""Plugging an emulated controller in and serving it, with faults on demand and at random."""
+"""Connects and serves an emulated controller, with faults on demand and at random."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ EMULATED = ("acl", "dexarm", "marlin", "rosbridge", "so101", "uarm")
 """Controllers that can be emulated, by the names of their drivers."""
 
 HOMING_S = (1e-3, 3600.0)
-"""Homing may take from and up to this [s of the arm]."""
+"""Range of the duration of homing [s of the arm]."""
 
 FAULTS_PER_S = (1e-6, 1000.0)
-"""Faults at random may come at these rates, or never [1/s]."""
+"""Range of the rate of random faults, if any [1/s]."""
 
 UNPLUGGED_S = 0.5
-"""How long a cable that is pulled at random stays out [s]."""
+"""Duration of a random disconnection [s]."""
 
 
 def make_emulator(
@@ -48,24 +48,24 @@ def make_emulator(
     echo: bool = True,
     seed: int = 0,
 ) -> Emulator:
-    """Make an emulated controller, to be plugged in by a `with` block.
+    """Make an emulated controller, to be connected by a `with` block.
 
     Parameters
     ----------
     name : str
         One of `EMULATED`.
     link : path, optional
-        Where to put the link to the pseudo-terminal; a fresh directory by default.
+        Path of the link to the pseudo-terminal; in a new directory by default.
     tcp_port : int, optional
-        Serve this TCP port of the loopback instead, 0 for a free one; `rosbridge` always does.
+        TCP port on the loopback to serve instead, 0 for a free one; `rosbridge` always uses TCP.
     time_scale : float
-        Seconds of the arm per second of ours, as for `ArmTime`.
+        Seconds of the arm per second of real time, as in `ArmTime`.
     homing_s : float
-        How long homing takes [s of the arm], in `HOMING_S`.
+        Duration of homing [s of the arm], in `HOMING_S`.
     echo : bool
         Whether an ACL controller echoes.
     seed : int
-        Of the faults' noise, ≥ 0.
+        Seed of the faults' noise, ≥ 0.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def make_emulator(
     Raises
     ------
     InvalidInputError
-        No such controller, a value out of its range, or a link to a controller without a serial
+        An unknown controller, a value out of range, or a link to a controller without a serial
         line.
     """
     homing_s = in_range(homing_s, "homing_s", *HOMING_S)
@@ -118,22 +118,22 @@ def serve(
     Parameters
     ----------
     emulator : Emulator
-        Not yet plugged in.
+        The emulator, not yet connected.
     announce : callable
         Called with the address once a driver can open it, and with every fault.
     stop : threading.Event
-        Ends it.
+        Set to end it.
     orders : iterable of str
-        Faults to have as they come, by name: lines of a terminal, say. Read in a thread.
+        Names of faults to simulate as they arrive, such as lines of a terminal. Read in a thread.
     faults_per_s : float
-        Faults at random, on average [1/s of ours], 0 or in `FAULTS_PER_S`.
+        Mean rate of random faults [1/s of real time], 0 or in `FAULTS_PER_S`.
     seed : int
-        Of these, ≥ 0.
+        Seed of these, ≥ 0.
 
     Raises
     ------
     InvalidInputError
-        A value out of its range.
+        A value out of range.
     """
     if faults_per_s != 0:
         faults_per_s = in_range(faults_per_s, "faults_per_s", *FAULTS_PER_S)

@@ -161,12 +161,13 @@ impl Background {
         let changed = self.options.changed_sigmas * self.options.noise_grey;
         for (x, y) in Self::grid((width, height)) {
             let Some(now) = frame.image().pixel(x, y) else { continue };
-            let Some([[_, above, _], [left, here, right], [_, below, _]]) = self.about(x, y) else {
+            let Some([[_, above, _], [left, centre, right], [_, below, _]]) = self.about(x, y)
+            else {
                 continue;
             };
             let by_px = Vector2::new(f64::from(right - left), f64::from(below - above)) / 2.0;
             if by_px.norm_squared() > STEEP_GREY_PX * STEEP_GREY_PX {
-                let residual = f64::from(now) - f64::from(here);
+                let residual = f64::from(now) - f64::from(centre);
                 let per_most = 1.0 / (changed + by_px.norm() * FARTHEST_SHIFT_PX);
                 self.slopes.push(Slope { by_px, residual, per_most });
             }
@@ -185,9 +186,9 @@ impl Background {
                 right -= by_px * (residual * weight);
             }
             let Some(inverse) = inverse_where_determined(&information, least) else { return };
-            let moved = shift;
+            let last_shift = shift;
             shift = inverse * right;
-            if (shift - moved).norm() < SHIFT_SETTLED_PX {
+            if (shift - last_shift).norm() < SHIFT_SETTLED_PX {
                 break;
             }
         }

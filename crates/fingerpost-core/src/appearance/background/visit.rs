@@ -57,31 +57,33 @@ impl Work for Visits<'_> {
         let BackgroundLearning { rate, noise2, sigmas2, most_seen, .. } = learning;
         let mut cells = colour.iter_mut().zip(now_in_colour.chunks(3 * CELL_PX));
         let levels = level.chunks_mut(AT_ONCE).zip(variance.chunks_mut(AT_ONCE));
-        let shown = seen.chunks_mut(AT_ONCE).zip(now.chunks(AT_ONCE));
-        for ((level, variance), (seen, now)) in levels.zip(shown) {
-            // BackgroundLearning rate of every pixel: 0 if it disagrees.
-            let mut parts = [0.0; AT_ONCE];
-            let pixels = level.iter_mut().zip(variance).zip(seen).zip(now).zip(&mut parts);
-            for ((((level, variance), seen), now), taken) in pixels {
+        let observations = seen.chunks_mut(AT_ONCE).zip(now.chunks(AT_ONCE));
+        for ((level, variance), (seen, now)) in levels.zip(observations) {
+            // Learning rate of every pixel: 0 if it disagrees.
+            let mut pixel_rates = [0.0; AT_ONCE];
+            let pixels = level.iter_mut().zip(variance).zip(seen).zip(now).zip(&mut pixel_rates);
+            for ((((level, variance), seen), now), stored_rate) in pixels {
                 // Without branches, by factors that are 0 or 1: both alternatives are computed.
                 let change = learning.in_its_light(*now) - *level;
                 let known = if *variance > noise2 { *variance } else { noise2 };
                 let starts = u8::from(*seen == 0);
                 let learns = starts | u8::from(change * change <= sigmas2 * known);
-                let (begun, learned) = (f32::from(starts), f32::from(learns));
+                let (start_factor, learn_factor) = (f32::from(starts), f32::from(learns));
                 // Rate 1 at the first level of a pixel, or at the level that replaces it.
                 let mean = 1.0 / (1.0 + f32::from(*seen));
-                let part = learned * if mean > rate { mean } else { rate };
-                *taken = part;
-                *level += part * change;
+                let pixel_rate = learn_factor * if mean > rate { mean } else { rate };
+                *stored_rate = pixel_rate;
+                *level += pixel_rate * change;
                 let spread = *variance + rate * (change * change - *variance);
-                *variance += learned * (spread + begun * (noise2 - spread) - *variance);
+                *variance += learn_factor * (spread + start_factor * (noise2 - spread) - *variance);
                 *seen = seen.saturating_add(learns).saturating_sub(1 - learns).min(most_seen);
             }
             // A cell's colour is that of its first pixel.
-            for (part, (known, now)) in parts.iter().skip(first).step_by(CELL_PX).zip(&mut cells) {
+            for (pixel_rate, (known, now)) in
+                pixel_rates.iter().skip(first).step_by(CELL_PX).zip(&mut cells)
+            {
                 for (known, &now) in known.iter_mut().zip(now) {
-                    *known += part * (learning.in_its_light(now) - *known);
+                    *known += pixel_rate * (learning.in_its_light(now) - *known);
                 }
             }
         }

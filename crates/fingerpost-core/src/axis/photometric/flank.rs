@@ -73,19 +73,19 @@ impl PhotometricFlank {
         let mut levels = std::mem::take(&mut self.levels);
         levels.clear();
         levels.extend(self.of_blocks(|deviations| &deviations.effects[OUTSIDE_EFFECT]));
-        for (k, &here) in levels.iter().enumerate() {
+        for (k, &level) in levels.iter().enumerate() {
             let (mut sum, mut weight) = (0.0, 0.0);
-            for (away, share) in [(1, 1.0), (2, 0.5)] {
-                for other in [k.checked_sub(away), Some(k + away)] {
-                    if let Some(there) = other.and_then(|other| levels.get(other)) {
-                        sum += share * (there - here).powi(2);
+            for (lag, share) in [(1, 1.0), (2, 0.5)] {
+                for other in [k.checked_sub(lag), Some(k + lag)] {
+                    if let Some(neighbour) = other.and_then(|other| levels.get(other)) {
+                        sum += share * (neighbour - level).powi(2);
                         weight += share;
                     }
                 }
             }
             // Bounds the denominator: an edge without contrast carries no information anyway.
             let behind = self.strip.blocks.get(k).map_or(0.0, |b| b.behind);
-            let contrast2 = (contrast_grey - behind - here).powi(2).max(9.0 * scale * scale);
+            let contrast2 = (contrast_grey - behind - level).powi(2).max(9.0 * scale * scale);
             let change2 = if weight > 0.0 { sum / weight } else { 0.0 };
             let slot = self.strip.first_slot() + k;
             if let Some(deviations) = self.deviations.get_mut(slot / LANES) {

@@ -82,11 +82,12 @@ impl<F: Fn(f32, f32, f32) -> (bool, f32)> Work for Surveying<'_, F> {
             let (mut sums, mut counts) = ([0.0_f32; LANES], [0.0_f32; LANES]);
             for chunk in strip.chunks(group) {
                 for i in 0..LANES {
-                    let away = chunk.v[i] - edge[i];
-                    let (counts_here, value) = measure(away, chunk.grey[i], chunk.background[i]);
-                    let counted = if counts_here { chunk.weight[i] } else { 0.0 };
-                    sums[i] += counted * value;
-                    counts[i] += counted;
+                    let outside_px = chunk.v[i] - edge[i];
+                    let (counts_here, value) =
+                        measure(outside_px, chunk.grey[i], chunk.background[i]);
+                    let weight = if counts_here { chunk.weight[i] } else { 0.0 };
+                    sums[i] += weight * value;
+                    counts[i] += weight;
                 }
             }
             for (sum, count) in sums.into_iter().zip(counts).filter(|(_, count)| *count > 0.0) {

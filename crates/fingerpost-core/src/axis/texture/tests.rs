@@ -10,7 +10,7 @@ const HALF_WIDTH_PX: f64 = 8.0;
 
 /// A rendered finger of 60 × 16 px before stripes.
 #[derive(Clone, Copy)]
-pub(crate) struct Painted {
+pub(crate) struct RenderedFinger {
     pub tip: Point2<f64>,
     pub angle_rad: f64,
     /// Amplitude of the shading across it and the creases along it \[grey levels\]; 0 for a uniform
@@ -27,7 +27,7 @@ pub(crate) struct Painted {
     pub seed: u64,
 }
 
-impl Painted {
+impl RenderedFinger {
     pub(crate) fn at(tip: [f64; 2], angle_rad: f64) -> Self {
         let tip = Point2::from(tip);
         let [texture, gain, stripes_px, noise] = [20.0, 1.0, 0.0, 0.0];
@@ -104,17 +104,17 @@ impl Painted {
     }
 }
 
-fn drawn(painted: &Painted) -> TexturePatch {
+fn drawn_patch(rendered: &RenderedFinger) -> TexturePatch {
     let mut texture = TexturePatch::empty(Area::Finger);
-    let seen =
-        painted.show(|image| texture.draw(image, &painted.axis(), HALF_WIDTH_PX, 0.0, LENGTH_PX));
-    assert!(seen);
+    let has_enough_cells =
+        rendered.show(|image| texture.draw(image, &rendered.axis(), HALF_WIDTH_PX, 0.0, LENGTH_PX));
+    assert!(has_enough_cells);
     texture
 }
 
 /// Error of a pose against the rendered finger: offset at its anchor and angle.
-fn off(texture_pose: &TexturePose, painted: &Painted) -> [f64; 2] {
-    let truth = painted.axis();
+fn pose_error(texture_pose: &TexturePose, rendered: &RenderedFinger) -> [f64; 2] {
+    let truth = rendered.axis();
     [
         truth.normal().dot(&(texture_pose.axis.anchor - truth.anchor)),
         texture_pose.axis.angle_rad - truth.angle_rad,
@@ -122,128 +122,133 @@ fn off(texture_pose: &TexturePose, painted: &Painted) -> [f64; 2] {
 }
 
 #[test]
-fn skin_is_found_where_its_finger_has_moved_and_turned_in_another_light() {
-    let mut texture = drawn(&Painted::at([110.0, 70.0], 0.4));
+fn the_texture_is_found_after_motion_in_another_light() {
+    let mut texture = drawn_patch(&RenderedFinger::at([110.0, 70.0], 0.4));
     for (tip, angle_rad, gain) in
         [([110.0, 70.0], 0.4, 1.0), ([112.3, 68.4], 0.43, 1.0), ([90.2, 80.9], 0.9, 0.8)]
     {
-        let painted = Painted { gain, ..Painted::at(tip, angle_rad) };
-        let near = Painted::at([tip[0] + 0.5, tip[1] - 1.0], angle_rad - 0.02).axis();
-        let texture_pose = painted.show(|image| texture.find(image, &near)).unwrap();
-        let [offset_px, angle] = off(&texture_pose, &painted);
+        let rendered = RenderedFinger { gain, ..RenderedFinger::at(tip, angle_rad) };
+        let near = RenderedFinger::at([tip[0] + 0.5, tip[1] - 1.0], angle_rad - 0.02).axis();
+        let texture_pose = rendered.show(|image| texture.find(image, &near)).unwrap();
+        let [offset_px, angle] = pose_error(&texture_pose, &rendered);
         assert!(offset_px.abs() < 0.08 && angle.abs() < 0.003, "{tip:?}: {offset_px} {angle}");
         assert!((f64::from(texture_pose.gain) - gain).abs() < 0.05, "{}", texture_pose.gain);
     }
 }
 
 #[test]
-fn skin_is_found_in_four_tenths_of_the_light() {
-    let mut texture = drawn(&Painted::at([110.0, 70.0], 0.4));
-    let painted = Painted { gain: 0.4, ..Painted::at([112.3, 68.4], 0.43) };
-    let near = Painted::at([112.8, 67.4], 0.41).axis();
-    let texture_pose = painted.show(|image| texture.find(image, &near)).unwrap();
-    let [offset_px, angle] = off(&texture_pose, &painted);
+fn the_texture_is_found_in_four_tenths_of_the_light() {
+    let mut texture = drawn_patch(&RenderedFinger::at([110.0, 70.0], 0.4));
+    let rendered = RenderedFinger { gain: 0.4, ..RenderedFinger::at([112.3, 68.4], 0.43) };
+    let near = RenderedFinger::at([112.8, 67.4], 0.41).axis();
+    let texture_pose = rendered.show(|image| texture.find(image, &near)).unwrap();
+    let [offset_px, angle] = pose_error(&texture_pose, &rendered);
     assert!(offset_px.abs() < 0.08 && angle.abs() < 0.003, "{offset_px} {angle}");
     assert!((texture_pose.gain - 0.4).abs() < 0.05, "{}", texture_pose.gain);
 }
 
 #[test]
-fn no_row_of_a_finger_is_wider_than_it() {
+fn no_row_of_a_patch_is_wider_than_its_finger() {
     // The shorter a finger is in cells, the nearer its last row is to where a hand would begin.
     for half_width_px in [1.5, 3.0, 8.0, 20.0] {
         for length in [1.0, 3.0, 5.0, 12.0] {
-            let painted = Painted::at([110.0, 70.0], 0.4);
+            let rendered = RenderedFinger::at([110.0, 70.0], 0.4);
             let mut texture = TexturePatch::empty(Area::Finger);
             let length_px = length * half_width_px;
-            painted.show(|i| texture.draw(i, &painted.axis(), half_width_px, 0.0, length_px));
+            rendered.show(|i| texture.draw(i, &rendered.axis(), half_width_px, 0.0, length_px));
             let widest = texture.used.iter().map(|[from, to]| to - from).max().unwrap();
-            let most = 2.0 * ACROSS * half_width_px / texture.across_px + 1.0;
-            assert!(widest as f64 <= most, "{half_width_px} {length}: {widest} {most}");
+            let limit = 2.0 * ACROSS * half_width_px / texture.across_px + 1.0;
+            assert!(widest as f64 <= limit, "{half_width_px} {length}: {widest} {limit}");
         }
     }
 }
 
 #[test]
-fn the_less_texture_the_less_is_told() {
-    let determined = |texture: f64| {
-        let painted = Painted { texture, noise: 2.0, ..Painted::at([110.0, 70.0], 0.4) };
-        let mut texture = drawn(&painted);
-        let again = Painted { seed: 2, ..painted };
-        let texture_pose = again.show(|image| texture.find(image, &painted.axis())).unwrap();
+fn the_variance_grows_as_the_texture_fades() {
+    let angle_sigma = |texture: f64| {
+        let rendered =
+            RenderedFinger { texture, noise: 2.0, ..RenderedFinger::at([110.0, 70.0], 0.4) };
+        let mut texture = drawn_patch(&rendered);
+        let again = RenderedFinger { seed: 2, ..rendered };
+        let texture_pose = again.show(|image| texture.find(image, &rendered.axis())).unwrap();
         texture_pose.covariance[(1, 1)].sqrt()
     };
-    let [strong, weak] = [40.0, 10.0].map(determined);
+    let [strong, weak] = [40.0, 10.0].map(angle_sigma);
     assert!(strong < weak && weak < 0.03, "{strong} {weak}");
 }
 
 /// Squared errors due to noise, of offset and angle, in units of the reported variances.
-fn squared_in_known(noise: f64, spread_px: usize) -> [f64; 2] {
-    let painted = Painted { noise, spread_px, ..Painted::at([110.0, 70.0], 0.4) };
-    let mut texture = drawn(&Painted { noise: 0.0, ..painted });
-    let (mut squares, mut determined) = ([0.0; 2], [0.0; 2]);
+fn error_to_variance_ratios(noise: f64, spread_px: usize) -> [f64; 2] {
+    let rendered = RenderedFinger { noise, spread_px, ..RenderedFinger::at([110.0, 70.0], 0.4) };
+    let mut texture = drawn_patch(&RenderedFinger { noise: 0.0, ..rendered });
+    let (mut squares, mut variances) = ([0.0; 2], [0.0; 2]);
     for seed in 1..=60 {
-        let painted = Painted { seed, ..painted };
-        let texture_pose = painted.show(|image| texture.find(image, &painted.axis())).unwrap();
-        for (k, off) in off(&texture_pose, &painted).into_iter().enumerate() {
-            squares[k] += off * off;
-            determined[k] += texture_pose.covariance[(k, k)];
+        let rendered = RenderedFinger { seed, ..rendered };
+        let texture_pose = rendered.show(|image| texture.find(image, &rendered.axis())).unwrap();
+        for (k, error) in pose_error(&texture_pose, &rendered).into_iter().enumerate() {
+            squares[k] += error * error;
+            variances[k] += texture_pose.covariance[(k, k)];
         }
     }
-    [0, 1].map(|k| squares[k] / determined[k])
+    [0, 1].map(|k| squares[k] / variances[k])
 }
 
 #[test]
-fn the_covariance_holds_what_noise_does() {
-    for ratio in squared_in_known(3.0, 0) {
+fn the_covariance_matches_errors_by_white_noise() {
+    for ratio in error_to_variance_ratios(3.0, 0) {
         assert!((0.7..1.0).contains(&ratio), "{ratio}");
     }
 }
 
 #[test]
-fn the_covariance_holds_noise_that_compression_has_spread() {
-    for ratio in squared_in_known(3.0, 1) {
+fn the_covariance_covers_errors_by_correlated_noise() {
+    for ratio in error_to_variance_ratios(3.0, 1) {
         assert!((0.7..1.3).contains(&ratio), "{ratio}");
     }
 }
 
 #[test]
-fn a_lie_takes_over_an_angle_as_one_more_look_at_it_would() {
+fn conditioning_on_an_angle_equals_a_measurement_of_it() {
     let axis = Axis::of_finger(Point2::new(40.0, 30.0), 0.3, 20.0);
     let covariance = Matrix2::new(0.04, 0.002, 0.002, 4e-4);
     let texture_pose = TexturePose { axis, covariance, gain: 1.0, offset: 0.0 };
     // A further measurement of the angle alone, of the same variance, halves the angle's.
-    let (other_rad, other) = (0.33, 4e-4);
-    let gain = covariance.column(1) / (covariance[(1, 1)] + other);
+    let (other_rad, other_variance) = (0.33, 4e-4);
+    let gain = covariance.column(1) / (covariance[(1, 1)] + other_variance);
     let step = gain * (other_rad - axis.angle_rad);
     let expected = covariance - gain * covariance.row(1);
-    let determined = texture_pose.turned_to(axis.angle_rad + step.y, expected[(1, 1)]);
-    assert!((determined.covariance - expected).norm() < 1e-12, "{}", determined.covariance);
-    let moved = axis.normal().dot(&(determined.axis.anchor - axis.anchor));
+    let conditioned = texture_pose.turned_to(axis.angle_rad + step.y, expected[(1, 1)]);
+    assert!((conditioned.covariance - expected).norm() < 1e-12, "{}", conditioned.covariance);
+    let moved = axis.normal().dot(&(conditioned.axis.anchor - axis.anchor));
     assert!((moved - step.x).abs() < 1e-12, "{moved} {}", step.x);
-    assert!((determined.axis.angle_rad - 0.315).abs() < 1e-12);
-    assert!(((determined.axis.tip - determined.axis.anchor).norm() - 20.0).abs() < 1e-9);
+    assert!((conditioned.axis.angle_rad - 0.315).abs() < 1e-12);
+    assert!(((conditioned.axis.tip - conditioned.axis.anchor).norm() - 20.0).abs() < 1e-9);
 }
 
 #[test]
-fn what_is_not_the_skin_is_not_found() {
-    let painted = Painted::at([110.0, 70.0], 0.4);
-    let mut texture = drawn(&painted);
-    for gone in [[150.0, 20.0], [40.0, 20.0], [400.0, 300.0]] {
-        let elsewhere = Painted::at(gone, -1.2);
-        assert!(elsewhere.show(|image| texture.find(image, &painted.axis())).is_none(), "{gone:?}");
+fn another_texture_is_not_found() {
+    let rendered = RenderedFinger::at([110.0, 70.0], 0.4);
+    let mut texture = drawn_patch(&rendered);
+    for other_tip in [[150.0, 20.0], [40.0, 20.0], [400.0, 300.0]] {
+        let elsewhere = RenderedFinger::at(other_tip, -1.2);
+        assert!(
+            elsewhere.show(|image| texture.find(image, &rendered.axis())).is_none(),
+            "{other_tip:?}"
+        );
     }
-    assert!(painted.show(|image| texture.find(image, &painted.axis())).is_some());
-    let outside = Painted::at([-200.0, 70.0], 0.4).axis();
-    assert!(painted.show(|image| texture.find(image, &outside)).is_none());
+    assert!(rendered.show(|image| texture.find(image, &rendered.axis())).is_some());
+    let outside = RenderedFinger::at([-200.0, 70.0], 0.4).axis();
+    assert!(rendered.show(|image| texture.find(image, &outside)).is_none());
 }
 
 #[test]
-fn what_changes_as_the_finger_moves_loses_its_say() {
-    let mut texture = drawn(&Painted::at([110.0, 70.0], 0.4));
+fn cells_that_show_the_background_get_a_large_variance() {
+    let mut texture = drawn_patch(&RenderedFinger::at([110.0, 70.0], 0.4));
     for k in 1..30 {
         let stripes_px = f64::from(k);
-        let painted = Painted { stripes_px, noise: 1.0, ..Painted::at([110.0, 70.0], 0.4) };
-        let texture_pose = painted.show(|image| texture.find(image, &painted.axis())).unwrap();
+        let rendered =
+            RenderedFinger { stripes_px, noise: 1.0, ..RenderedFinger::at([110.0, 70.0], 0.4) };
+        let texture_pose = rendered.show(|image| texture.find(image, &rendered.axis())).unwrap();
         texture.learn(&texture_pose);
     }
     let row = texture.rows / 2;

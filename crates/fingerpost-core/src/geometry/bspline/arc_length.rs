@@ -258,9 +258,8 @@ fn measure(
 
 /// The length of the polygon through the control points: the size of the curve, to within a factor.
 fn polygon_length(control_points: &[Point2<f64>]) -> Result<f64> {
-    let flank_levels = control_points.windows(2);
-    let length =
-        flank_levels.map(|side| (side[1].x - side[0].x).hypot(side[1].y - side[0].y)).sum();
+    let sides = control_points.windows(2);
+    let length = sides.map(|side| (side[1].x - side[0].x).hypot(side[1].y - side[0].y)).sum();
     if length > 0.0 && length < f64::INFINITY {
         Ok(length)
     } else {

@@ -7,20 +7,20 @@ use crate::image::gray::GrayView;
 use nalgebra::{Point2, Vector2};
 
 const SIDE: usize = 80;
-/// The hand ends here \[px\], before paper above and before something else below.
+/// Column at which the hand ends \[px\]: before paper above, before another background below.
 const EDGE: f64 = 40.0;
 const SKIN: [f64; 3] = [124.0, 139.0, 175.0];
 const PAPER: [f64; 3] = [191.0, 184.0, 178.0];
 const WOOD: [f64; 3] = [104.0, 124.0, 141.0];
 const BLUE: [f64; 3] = [170.0, 90.0, 60.0];
 
-/// Number of frames before paper, and the forgetting of them.
+/// Number of frames before paper, and the weight that earlier frames keep in each.
 const SEEN_FRAMES: usize = 30;
 const KEEP: f64 = 0.8;
 
-/// Model of a hand that was long before paper, after a frame in which its lower half shows no edge,
-/// with the colours of that half and of its background.
-fn taught(inside: [f64; 3], behind: [f64; 3]) -> [AppearanceModel; 2] {
+/// Models of a hand after many frames before paper, and after one more frame in which its lower
+/// half, of the colour `inside` before the colour `behind`, has no edge.
+fn models_before_and_after(inside: [f64; 3], behind: [f64; 3]) -> [AppearanceModel; 2] {
     let colour_at = |i: usize| {
         let (x, y) = (i % SIDE, i / SIDE);
         let below = 2 * y >= SIDE;
@@ -67,14 +67,14 @@ fn contrast(appearance: &AppearanceModel) -> f64 {
     let frame = Frame::coloured(gray, colour).unwrap();
     let mut image = DiscriminantImage::default();
     let mixture = appearance.discriminant.mixture().unwrap();
-    let shown = image.of(&frame, mixture, [0.0, 2.0, 0.0, 1.0]).unwrap();
-    let [texture, wood] = [0, 1].map(|x| f64::from(shown.image().pixel(x, 0).unwrap()));
-    texture - wood
+    let mixed_frame = image.of(&frame, mixture, [0.0, 2.0, 0.0, 1.0]).unwrap();
+    let [skin, wood] = [0, 1].map(|x| f64::from(mixed_frame.image().pixel(x, 0).unwrap()));
+    skin - wood
 }
 
 #[test]
-fn what_is_behind_a_hand_is_learned_where_no_edge_shows_it() {
-    let [before, after] = taught(SKIN, WOOD);
+fn the_background_is_learned_where_the_hand_has_no_edge() {
+    let [before, after] = models_before_and_after(SKIN, WOOD);
     // The threshold of an edge is half of the least contrast of a hand.
     assert!(contrast(&before) < 9.0, "{}", contrast(&before));
     assert!(contrast(&after) >= 17.0, "{}", contrast(&after));
@@ -82,9 +82,9 @@ fn what_is_behind_a_hand_is_learned_where_no_edge_shows_it() {
 }
 
 #[test]
-fn a_hand_behind_it_and_what_covers_it_teach_nothing() {
+fn nothing_is_learned_before_another_hand_or_from_an_occluder() {
     for (inside, behind) in [(SKIN, SKIN), (BLUE, WOOD), (BLUE, BLUE)] {
-        let [before, after] = taught(inside, behind);
+        let [before, after] = models_before_and_after(inside, behind);
         assert_eq!(after.discriminant.mixture(), before.discriminant.mixture());
         assert_eq!(after.plain, before.plain);
     }

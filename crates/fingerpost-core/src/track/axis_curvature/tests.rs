@@ -1,4 +1,4 @@
-//! The reports it learns from are made by the refinement; here they are written down.
+//! The refinement makes the reports that are learned; here they are given.
 
 use super::*;
 use crate::track::LineSource;
@@ -39,12 +39,12 @@ fn refined(bend_px: f64, bend_sigma_px: f64, source: Source) -> Refined {
     }
 }
 
-fn from_its_side(half_width_px: f64) -> FingerScale {
+fn side_view(half_width_px: f64) -> FingerScale {
     FingerScale { half_width_px, foreshortening: 1.0 }
 }
 
 #[test]
-fn a_bent_finger_leaves_its_line_open_and_one_that_noise_bends_does_not() {
+fn a_bend_causes_a_bias_and_noise_causes_none() {
     let mut bent = AxisCurvature::default();
     assert!(bent.bend_bias().abs() < 1e-12);
     for _ in 0..5 {
@@ -61,7 +61,7 @@ fn a_bent_finger_leaves_its_line_open_and_one_that_noise_bends_does_not() {
 }
 
 #[test]
-fn of_a_finger_that_hardly_shows_the_bend_takes_the_line_only_part_of_the_way_to_its_front() {
+fn a_faint_flank_moves_the_line_only_part_of_the_way_to_the_front() {
     let (curvature, half_width_px) = (2e-3, 7.0);
     let bend_px = curvature * HALF_PX * HALF_PX / 3.0;
     let turn = |faintest: f64, is_coloured: bool| {
@@ -71,7 +71,7 @@ fn of_a_finger_that_hardly_shows_the_bend_takes_the_line_only_part_of_the_way_to
         let mut axis_curvature = AxisCurvature::default();
         axis_curvature.learn(&Refined { photometric, ..observed }, is_coloured);
         let line = line_over(curvature, 9.0 * half_width_px, 0.0);
-        axis_curvature.at_front(line, None, &from_its_side(half_width_px)).difference(&line.axis).y
+        axis_curvature.at_front(line, None, &side_view(half_width_px)).difference(&line.axis).y
     };
     let [whole, front] = [turn(1e9, false), turn(1e9, true)];
     assert!((front - whole).abs() > 0.01, "{whole} {front}");
@@ -85,16 +85,16 @@ fn of_a_finger_that_hardly_shows_the_bend_takes_the_line_only_part_of_the_way_to
 fn faintness(contrast_grey: f64, residual_grey: f64, is_coloured: bool) -> f64 {
     let observed = refined(0.0, 0.3, Source::Photometric);
     let contrast_grey = [-1e9, contrast_grey];
-    let shows = |p| PhotometricReport { residual_grey, contrast_grey, ..p };
+    let with_contrast = |p| PhotometricReport { residual_grey, contrast_grey, ..p };
     let mut axis_curvature = AxisCurvature::default();
-    let photometric = observed.photometric.map(shows);
+    let photometric = observed.photometric.map(with_contrast);
     axis_curvature.learn(&Refined { photometric, ..observed }, is_coloured);
     assert!(axis_curvature.bend_bias().abs() < 1e-12);
     axis_curvature.faint_flank_bias() / FAINT_FLANK_BIAS
 }
 
 #[test]
-fn a_flank_that_hardly_shows_leaves_the_straightest_line_open() {
+fn a_faint_flank_causes_a_bias_even_of_a_straight_line() {
     let texture_grey: f64 = 6.0;
     let residual_grey = (texture_grey.powi(2) + NOISE_AT_MOST * NOISE_GREY.powi(2)).sqrt();
     for is_coloured in [true, false] {
@@ -116,7 +116,7 @@ fn noise_makes_no_flank_faint() {
 }
 
 #[test]
-fn pixels_that_are_no_fingers_tell_nothing() {
+fn pixels_that_disagree_with_the_model_teach_no_bend() {
     let mut axis_curvature = AxisCurvature::default();
     axis_curvature.learn(&refined(5.0, 0.1, Source::Bisector), true);
     assert!(axis_curvature.bend_bias().abs() < 1e-12);
@@ -150,23 +150,23 @@ fn line_over(curvature: f64, far_px: f64, near_px: f64) -> FingerLine {
 }
 
 #[test]
-fn lines_of_different_stretches_are_told_for_one() {
+fn lines_of_different_segments_are_expressed_for_one() {
     let (curvature, half_width_px) = (2e-3, 7.0);
     let mut bent = AxisCurvature::default();
     bent.learn(&refined(curvature * HALF_PX * HALF_PX / 3.0, 0.0, Source::Photometric), true);
     for foreshortening in [1.0, 0.8] {
-        let seen = FingerScale { half_width_px, foreshortening };
+        let scale = FingerScale { half_width_px, foreshortening };
         let far_px = FRONT.far * foreshortening * half_width_px;
         let near_px = FRONT.near * half_width_px;
         let expected = line_over(curvature, far_px, near_px);
         for (more_far_px, more_near_px) in [(0.0, 0.0), (7.0, 1.0), (4.0, 4.0), (9.0, -1.0)] {
             let line = line_over(curvature, far_px + more_far_px, near_px + more_near_px);
             let mut axis_curvature = bent;
-            let at_front = axis_curvature.at_front(line, None, &seen);
+            let at_front = axis_curvature.at_front(line, None, &scale);
             let difference = at_front.difference(&expected.expressed_beside(&at_front).axis);
             assert!(difference.x.abs() < 2e-3 && difference.y.abs() < 2e-5, "{difference}");
             // A straight finger has one line.
-            let straight = AxisCurvature::default().at_front(line, None, &seen);
+            let straight = AxisCurvature::default().at_front(line, None, &scale);
             assert_eq!(straight.axis.anchor, line.axis.anchor);
             assert!((straight.axis.angle_rad - line.axis.angle_rad).abs() < 1e-15);
         }
@@ -174,7 +174,7 @@ fn lines_of_different_stretches_are_told_for_one() {
 }
 
 #[test]
-fn a_line_cuts_the_finger_where_its_stretch_says() {
+fn a_line_cuts_the_medial_line_where_its_segment_implies() {
     let (curvature, half_width_px) = (5e-4, 7.0);
     let bend_px = curvature * HALF_PX * HALF_PX / 3.0;
     let line = line_over(curvature, 66.0, 3.0);
@@ -185,7 +185,7 @@ fn a_line_cuts_the_finger_where_its_stretch_says() {
         let photometric = observed.photometric.map(|p| PhotometricReport { contrast_grey, ..p });
         let mut axis_curvature = AxisCurvature::default();
         axis_curvature.learn(&Refined { photometric, ..observed }, true);
-        let at_front = axis_curvature.at_front(line, None, &from_its_side(half_width_px));
+        let at_front = axis_curvature.at_front(line, None, &side_view(half_width_px));
         let cut_px = at_front.stretch.length_px() / 12.0_f64.sqrt();
         for along_px in [-1.0, 1.0].map(|s| at_front.stretch.middle_px() + s * cut_px) {
             let Point2 { coords, .. } = at_front.axis.anchor + at_front.axis.direction() * along_px;
@@ -195,7 +195,7 @@ fn a_line_cuts_the_finger_where_its_stretch_says() {
         }
     }
     // Without a known bend, the line is reported for the segment it was measured on.
-    let at_front = AxisCurvature::default().at_front(line, None, &from_its_side(half_width_px));
+    let at_front = AxisCurvature::default().at_front(line, None, &side_view(half_width_px));
     assert!((at_front.stretch.length_px() - 63.0).abs() < 1e-9, "{:?}", at_front.stretch);
     assert!(at_front.stretch.middle_px().abs() < 1e-9, "{:?}", at_front.stretch);
 }
@@ -212,25 +212,25 @@ fn bent(turn_rad: f64, sigma_px: f64, is_coloured: bool) -> (AxisCurvature, Refi
 }
 
 #[test]
-fn the_front_of_a_finger_is_looked_at_where_its_bend_is_more_than_noise() {
-    let refined = |(axis_curvature, observed): &(AxisCurvature, Refined)| {
-        axis_curvature.front_to_measure(observed, &from_its_side(7.0))
+fn the_front_is_measured_where_its_bend_exceeds_the_noise() {
+    let front_px = |(axis_curvature, observed): &(AxisCurvature, Refined)| {
+        axis_curvature.front_to_measure(observed, &side_view(7.0))
     };
-    assert_eq!(refined(&bent(0.01, 0.0, true)), Some(5.6 * 7.0));
-    assert_eq!(refined(&bent(-0.01, 0.0, true)), Some(5.6 * 7.0));
+    assert_eq!(front_px(&bent(0.01, 0.0, true)), Some(5.6 * 7.0));
+    assert_eq!(front_px(&bent(-0.01, 0.0, true)), Some(5.6 * 7.0));
     // No measurement for a bend of 0, one that may be shade, or one that may be noise.
-    assert_eq!(refined(&bent(0.001, 0.0, true)), None);
-    assert_eq!(refined(&bent(0.01, 0.0, false)), None);
-    assert_eq!(refined(&bent(0.01, 1.0, true)), None);
+    assert_eq!(front_px(&bent(0.001, 0.0, true)), None);
+    assert_eq!(front_px(&bent(0.01, 0.0, false)), None);
+    assert_eq!(front_px(&bent(0.01, 1.0, true)), None);
     // Nor where the short segment is less precise, or nothing lies behind it.
     let (axis_curvature, observed) = bent(0.01, 0.0, true);
     let noisy = Refined { covariance: Matrix2::identity() * 0.02_f64.powi(2), ..observed };
-    assert_eq!(axis_curvature.front_to_measure(&noisy, &from_its_side(7.0)), None);
-    assert_eq!(axis_curvature.front_to_measure(&observed, &from_its_side(11.0)), None);
+    assert_eq!(axis_curvature.front_to_measure(&noisy, &side_view(7.0)), None);
+    assert_eq!(axis_curvature.front_to_measure(&observed, &side_view(11.0)), None);
 }
 
 #[test]
-fn what_the_front_alone_tells_takes_the_place_of_the_bend() {
+fn a_line_of_the_distal_segment_replaces_the_bend() {
     let (mut axis_curvature, _) = bent(0.01, 0.0, true);
     let half_width_px = 7.0;
     let (far_px, near_px) = (FRONT.far * half_width_px, FRONT.near * half_width_px);
@@ -238,7 +238,7 @@ fn what_the_front_alone_tells_takes_the_place_of_the_bend() {
     let whole = line_over(0.0, 66.0, near_px).moved(&Vector2::new(0.7, 0.05));
     let straight = line_over(0.0, far_px, near_px);
     let front = FrontLine::beside(&straight, &whole);
-    let at_front = axis_curvature.at_front(whole, Some(&front), &from_its_side(half_width_px));
+    let at_front = axis_curvature.at_front(whole, Some(&front), &side_view(half_width_px));
     let difference = at_front.difference(&straight.expressed_beside(&at_front).axis);
     assert!(difference.x.abs() < 1e-2 && difference.y.abs() < 1e-3, "{difference}");
     assert!(
@@ -252,17 +252,17 @@ fn what_the_front_alone_tells_takes_the_place_of_the_bend() {
 }
 
 #[test]
-fn a_finger_of_no_length_has_the_tangent_of_its_bend() {
+fn a_front_without_length_has_a_segment_of_2_px() {
     let mut axis_curvature = AxisCurvature::default();
     axis_curvature.learn(&refined(0.6, 0.0, Source::Photometric), true);
     // At this foreshortening the front ends before it begins.
-    let seen = FingerScale { half_width_px: 7.0, foreshortening: 0.01 };
-    let at_front = axis_curvature.at_front(line_over(2e-3, 66.0, 3.0), None, &seen);
+    let scale = FingerScale { half_width_px: 7.0, foreshortening: 0.01 };
+    let at_front = axis_curvature.at_front(line_over(2e-3, 66.0, 3.0), None, &scale);
     assert!((at_front.stretch.length_px() - 2.0).abs() < 1e-9, "{:?}", at_front.stretch);
 }
 
 #[test]
-fn a_short_stretch_is_not_stretched_to_a_long_one() {
+fn a_short_segment_is_not_extrapolated_beyond_its_limit() {
     let (curvature, half_width_px) = (2e-3, 7.0);
     let mut axis_curvature = AxisCurvature::default();
     axis_curvature
@@ -271,20 +271,20 @@ fn a_short_stretch_is_not_stretched_to_a_long_one() {
     // A segment that is always visible of this hand is the one the line is reported for.
     let short = line_over(curvature, 30.0, near_px);
     let difference =
-        axis_curvature.at_front(short, None, &from_its_side(half_width_px)).difference(&short.axis);
+        axis_curvature.at_front(short, None, &side_view(half_width_px)).difference(&short.axis);
     assert!(difference.norm() < 1e-12, "{difference}");
     // In a frame that shows less, the line is moved by a part of that.
     let shorter = line_over(curvature, 12.0, near_px);
     let turn = axis_curvature
-        .at_front(shorter, None, &from_its_side(half_width_px))
+        .at_front(shorter, None, &side_view(half_width_px))
         .difference(&shorter.axis)
         .y;
-    let most = curvature * FRONT.farthest * shorter.half_length_px;
-    assert!((turn.abs() - most).abs() < 1e-9, "{turn} {most}");
+    let limit = curvature * FRONT.farthest * shorter.half_length_px;
+    assert!((turn.abs() - limit).abs() < 1e-9, "{turn} {limit}");
 }
 
 #[test]
-fn a_stretch_further_on_lies_within_what_the_bend_leaves_open() {
+fn the_bend_bias_is_that_of_a_shifted_segment() {
     let (bend_px, shift_px) = (0.6, BEND_BIAS * HALF_PX / 3.0_f64.sqrt());
     let curvature = 3.0 * bend_px / (HALF_PX * HALF_PX);
     let [turned, straight] =
