@@ -10,7 +10,7 @@ with `--hard`, the moving cases of `robustness.py`, two sequences each in grey a
 
 The table is Markdown, for `docs/ablation.md`: availability; root mean square error in parts of
 the plane; points inside their 95 % ellipse; points beyond three times their 99 % ellipse; time of
-a step (of hard cases with rendering). The last two columns are the numbers of clips whose error
+a step. The last two columns are the numbers of clips whose error
 grew or shrank by more than 2 %, and the probability of signs as uneven by chance (sign test, Dixon
 & Mood 1946).
 """
@@ -28,7 +28,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from itertools import product
@@ -47,6 +47,8 @@ MAT_SIGMA = 0.02
 CHANGED = 0.02
 SEEDS = range(3)
 HARD_SEQUENCES = range(2)
+FRAMES = "FINGERPOST_FRAMES"
+"""Environment variable with the folder of rendered frames."""
 
 
 @dataclass(frozen=True)
@@ -164,14 +166,17 @@ def clips() -> Iterator[tuple[str, Any, dict[int, np.ndarray], float, float]]:
 
 def measure_hard() -> dict[str, Figures]:
     """Play the hard cases of `robustness.py`; return the figures of each sequence."""
-    from robustness import CASES, steps_of
+    from robustness import CASES, configured, footage, steps_of
 
     found = {}
     for case, channels, index in product(CASES, ("grey", "bgr"), HARD_SEQUENCES):
         rng = np.random.default_rng([0, index])
         play = CASES[case].play(rng, channels)
+        rig = configured(play, rng)
+        frames = stored(f"{len(found)}.npz", lambda play=play, rng=rng: footage(play, rng))
         begun_s = time.process_time()
-        judged = [j for k, _, j in steps_of(play, rng) if k >= play.judged_from]
+        judged = [j for k, _, j in steps_of(play, rig, frames) if k >= play.judged_from]
+        steps_s = time.process_time() - begun_s
         reported = [j for j in judged if math.isfinite(j.error_mm)]
         found[f"{case} {channels} {index}"] = Figures(
             frames=len(judged),
@@ -179,10 +184,28 @@ def measure_hard() -> dict[str, Figures]:
             square=sum((j.error_mm / 400.0) ** 2 for j in reported),
             held=sum(j.mahalanobis2 <= CHI2_95 for j in reported),
             wrong=sum(j.mahalanobis2 > 9.0 * CHI2_99 for j in reported),
-            steps_s=time.process_time() - begun_s,
+            steps_s=steps_s,
             steps=play.frames,
         )
     return found
+
+
+def stored(name: str, make: Callable[[], Iterable[list[Any]]]) -> list[list[Any]]:
+    """Return the frames of a sequence from the folder of all runs; the first run renders them."""
+    from fingerpost.capture import Frame
+
+    path = Path(os.environ[FRAMES]) / name
+    if not path.exists():
+        rendered = list(make())
+        images = np.array([[frame.image for frame in together] for together in rendered])
+        times_s = np.array([[frame.time_s for frame in together] for together in rendered])
+        np.savez(path, images=images, times_s=times_s)
+        return rendered
+    kept = np.load(path)
+    return [
+        [Frame(k, float(t), image) for t, image in zip(times_s, images, strict=True)]
+        for k, (times_s, images) in enumerate(zip(kept["times_s"], kept["images"], strict=True))
+    ]
 
 
 def measure() -> dict[str, Figures]:
@@ -236,7 +259,12 @@ def built(folder: Path) -> Path:
 def run(package: Path, off: str, *options: str) -> dict[str, Figures]:
     """Measure in a process of its own with one mechanism switched off; "" stands for none."""
     command = [sys.executable, __file__, *options, "--measure", off]
-    environment = {**os.environ, "PYTHONPATH": str(package), "FINGERPOST_OFF": off}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(package),
+        "FINGERPOST_OFF": off,
+        FRAMES: str(package / FRAMES),
+    }
     done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
     return {name: Figures(**row) for name, row in json.loads(done.stdout).items()}
 
@@ -287,6 +315,7 @@ def main() -> None:
     options = ["--hard"] if asked.hard else []
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(asked.workers) as pool:
         package = built(Path(folder))
+        (package / FRAMES).mkdir()
         base = run(package, "", *options)
         print("| switched off | available % | RMS % | held % | wrong | ms | error by clip | p |")
         print("|---|---|---|---|---|---|---|---|")

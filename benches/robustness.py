@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
@@ -340,13 +340,9 @@ class Hands:
         return nearest
 
 
-def steps_of(play: Play, rng: np.random.Generator) -> Iterator[tuple[int, Step, Judged]]:
-    """Play a sequence; yield each step of the pointer, compared with the truth."""
-    pointer = Pointer(
-        configured(play, rng), pointing_options=play.options, reference_sigma_px=REFERENCE_NOISE_PX
-    )
+def footage(play: Play, rng: np.random.Generator) -> Iterator[list[Frame]]:
+    """Render the frames of a sequence."""
     covers = None
-    hands = Hands(play)
     for k in range(play.frames):
         time_s = k / FPS
         if play.covered and k == play.judged_from:
@@ -356,12 +352,21 @@ def steps_of(play: Play, rng: np.random.Generator) -> Iterator[tuple[int, Step, 
         shot = play.rig.render(
             play.motion, time_s=time_s, rng=rng, others=play.others, occluders=covers
         )
-        frames = [
+        yield [
             Frame(k, view.time_s, image)
             for view, image in zip(shot.truth.views, shot.images, strict=True)
         ]
-        for step in pointer.update(frames):
-            yield k, step, hands.judge(step.fix, time_s)
+
+
+def steps_of(
+    play: Play, rig: Rig, frames: Iterable[list[Frame]]
+) -> Iterator[tuple[int, Step, Judged]]:
+    """Play a sequence; yield each step of the pointer, compared with the truth."""
+    pointer = Pointer(rig, pointing_options=play.options, reference_sigma_px=REFERENCE_NOISE_PX)
+    hands = Hands(play)
+    for k, together in enumerate(frames):
+        for step in pointer.update(together):
+            yield k, step, hands.judge(step.fix, k / FPS)
 
 
 def played(case: str, seed: int, channels: Channels, index: int) -> Result:
@@ -370,7 +375,8 @@ def played(case: str, seed: int, channels: Channels, index: int) -> Result:
     play = CASES[case].play(rng, channels)
     result = Result()
     before, since = True, None
-    for k, _, judged in steps_of(play, rng):
+    rig = configured(play, rng)
+    for k, _, judged in steps_of(play, rig, footage(play, rng)):
         if k >= play.judged_from:
             result.judged.append(judged)
         # A return starts with full view and is counted once: when the hand is back, or too late.

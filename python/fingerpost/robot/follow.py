@@ -2,8 +2,9 @@
 
 Section 3.4 of the paper: "the robot is instructed to move repeatedly to where the hand is
 pointing, providing the operator with direct feedback of the system's output." Here the indicated
-point is smoothed, and the arm follows it in strides that last a fraction of a second: at most one
-stride remains to be executed when the hand turns or is lost, even on a controller that only queues.
+point is smoothed, and the arm follows it in strides that last a fraction of a second. The next one
+is sent when half of the last is done, so at most one and a half remain to be executed when the hand
+turns or is lost, even on a controller that only queues.
 """
 
 from __future__ import annotations
