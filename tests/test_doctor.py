@@ -364,16 +364,20 @@ class CamerasInStep:
 
     def __init__(self):
         self.ticks, self.ticked = 1, threading.Condition()
+        self.cameras = []
 
     def tick(self):
         with self.ticked:
+            # A busy machine may be late with a frame, but loses none.
+            self.ticked.wait_for(lambda: all(c.taken == self.ticks for c in self.cameras), 5.0)
             self.ticks += 1
             self.ticked.notify_all()
 
 
 class CameraInStep:
     def __init__(self, cameras, frames):
-        self._cameras, self._frames, self._taken = cameras, frames, 0
+        self._cameras, self._frames, self.taken = cameras, frames, 0
+        cameras.cameras.append(self)
 
     def isOpened(self):  # noqa: N802 - OpenCV's name
         return True
@@ -381,13 +385,14 @@ class CameraInStep:
     def grab(self):
         with self._cameras.ticked:
             waits = self._cameras.ticked.wait_for(
-                lambda: self._cameras.ticks > self._taken, timeout=0.01
+                lambda: self._cameras.ticks > self.taken, timeout=0.01
             )
-            self._taken = self._cameras.ticks
+            self.taken = self._cameras.ticks
+            self._cameras.ticked.notify_all()
             return waits
 
     def retrieve(self):
-        return True, self._frames[self._taken % len(self._frames)].image
+        return True, self._frames[self.taken % len(self._frames)].image
 
     def release(self):
         pass

@@ -1319,6 +1319,7 @@ def tried_digit(seen: FingerDetection, hand: float, *, has_come: bool = True) ->
         seen=seen,
         hand=hand,
         has_come=has_come,
+        stripe_frames=0,
         frames=30,
         is_late=False,
         has_moved=True,

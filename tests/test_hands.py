@@ -105,11 +105,22 @@ def test_the_axis_sigma_is_raised_while_the_finger_extends_beyond_the_tip():
         assert test.sigma == sigma
 
 
-def test_an_unknown_background_changes_nothing():
+@pytest.mark.parametrize(
+    ("ahead", "sigma"),
+    [
+        ({"ends_at": 200}, 0.0),
+        ({"ends_at": 218, "of": NAIL}, SHORT_SIGMA),
+        ({"ends_at": 218, "of": 2 * FINGER - TABLE}, SHORT_SIGMA),
+        ({"ends_at": 320, "of": NAIL, "half_width_px": 60.0}, 0.0),
+    ],
+    ids=["nothing", "a dark nail", "a bright fingertip", "a dark table"],
+)
+def test_contrast_ahead_of_the_tip_raises_the_sigma_before_a_background_is_known(ahead, sigma):
     test = TipTest()
-    for _ in range(10):
-        test.update(Background(), frame(band()), RIGHTWARDS, HALF_WIDTH_PX)
-    assert test.sigma == 0.0
+    seen = frame(band(on=band(**ahead)))
+    for _ in range(3):
+        test.update(Background(), seen, RIGHTWARDS, HALF_WIDTH_PX)
+        assert test.sigma == sigma
 
 
 def followed(rig, frames):

@@ -22,8 +22,9 @@ from fingerpost.robot.gcode import GcodeArm, GcodeOptions
 from fingerpost.robot.gcode_dialects import DEXARM, MARLIN, UARM, Dialect
 from fingerpost.robot.protocol import Pose
 
-REPLY_S = 0.3
-"""Time-out of one answer in real time; short, so that tests of silent lines stay fast."""
+REPLY_S, BRIEF_REPLY_S = 1.0, 0.3
+"""Time-outs of one answer in real time: longer than a busy machine holds up the emulator, and one
+for tests that wait for several."""
 
 BOX = {"lower_m": (-0.3, -0.3, -0.1), "upper_m": (0.32, 0.32, 0.2), "max_speed_m_s": 0.2}
 GOAL, FAR = Pose(0.22, 0.1, 0.05), Pose(0.05, 0.24, 0.05)

@@ -202,8 +202,8 @@ def _scorbot(seed: int) -> Iterator[Rig]:
 def _plugged_in(arm: str, seed: int) -> AbstractContextManager[AnyRig]:
     if arm == "acl":
         return _scorbot(seed)
-    slow_s = SLOW_S * gcode_rig.REPLY_S * TIME_SCALE
-    return gcode_rig.gcode_rig(arm, seed=seed, slow_s=slow_s)
+    reply_s = gcode_rig.BRIEF_REPLY_S * TIME_SCALE
+    return gcode_rig.gcode_rig(arm, seed=seed, slow_s=SLOW_S * reply_s, reply_s=reply_s)
 
 
 def soak(moves: int, seed: int, arm: str = "acl") -> SoakReport:

@@ -9,7 +9,8 @@ import time
 
 import numpy as np
 import pytest
-from gcode_rig import FAR, GOAL, REPLY_S, gcode_rig
+from gcode_rig import BRIEF_REPLY_S, FAR, GOAL, gcode_rig
+from robot_rig import TIME_SCALE
 
 from fingerpost.robot.emulator.faults import Fault
 from fingerpost.robot.emulator.gcode import MarlinController
@@ -223,11 +224,11 @@ def test_busy_extends_the_wait(busy):
             self._defer(self._end_s(now_s), now_s)  # like a board with a full planner
 
     controller = Slow(instead("echo:busy: processing", busy))
-    with gcode_rig("marlin", controller) as rig:
+    with gcode_rig("marlin", controller, reply_s=BRIEF_REPLY_S * TIME_SCALE) as rig:
         rig.robot.move_to(GOAL)
         begin_s = time.monotonic()
         rig.robot.move_to(FAR, speed_m_s=0.004)  # 55 s, four time-outs
-        assert time.monotonic() - begin_s > 3 * REPLY_S
+        assert time.monotonic() - begin_s > 3 * BRIEF_REPLY_S
         rig.assert_at(FAR)
 
 

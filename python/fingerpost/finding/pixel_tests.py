@@ -275,6 +275,41 @@ def _returns(differs: Array) -> bool:
     return bool(known.min() < MAX_RETURN * differs[far])
 
 
+BEYOND_TIP = np.linspace(0.5, 1.5, 4)
+BAND, SIDES = np.linspace(-0.4, 0.4, 3), np.linspace(1.6, 2.4, 3)
+"""Sample positions ahead of a tip, and across the axis: of a band that continues the finger, and of
+what is on either side of it [half-widths]."""
+
+
+def contrast_ahead(frame: Frame, line: FingerLine, half_width_px: float) -> float:
+    """Return the contrast of a band that continues a finger ahead of its tip.
+
+    A dark nail or the fingertip of a cut glove differs from the table on both of its sides.
+
+    Parameters
+    ----------
+    frame
+        The frame; its colours are used if it has any.
+    line, half_width_px
+        The finger's axis, and half its width [px].
+
+    Returns
+    -------
+    float
+        Smaller one of the distances between the band's mean level and those of its sides, in
+        standard deviations of the levels of the sides; 0 if the band is between them. NaN where the
+        image ends.
+    """
+    band = _levels(frame, line, half_width_px, BEYOND_TIP, BAND)
+    sides = [_levels(frame, line, half_width_px, BEYOND_TIP, side * SIDES) for side in (1.0, -1.0)]
+    one, other = (band.mean(axis=(0, 1)) - side.mean(axis=(0, 1)) for side in sides)
+    if one @ other <= 0.0:
+        return 0.0
+    scatter = np.mean([side.var(axis=(0, 1)).sum() for side in sides])
+    contrast = min(np.linalg.norm(one), np.linalg.norm(other))
+    return float(contrast / np.sqrt(scatter + NOISE_GREY**2))
+
+
 def _levels(
     frame: Frame, line: FingerLine, half_width_px: float, along: Array, across: Array
 ) -> Array:
