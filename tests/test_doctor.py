@@ -398,7 +398,7 @@ class CameraInStep:
         pass
 
     def time_ns(self):
-        return round(self._taken * 1e9 / 30)
+        return round(self.taken * 1e9 / 30)
 
 
 class LastView(LiveSource):
