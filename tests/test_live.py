@@ -402,22 +402,6 @@ def live_hub(run):
     return hub, asked
 
 
-def test_a_recording_waits_for_its_first_page(run):
-    async def playing() -> list[tuple[bool, bool]]:
-        asked: list[float] = []
-        hub = Hub(asked.append, clock=lambda: 0.0)
-        hub.open_rig(rig_scene(run, is_live=False))
-        states = []
-        for step in (lambda: None, lambda: hub.add(Watcher())):
-            step()
-            await asyncio.sleep(0.01)
-            states.append((hub.state(Watcher(), (None, 0))["playing"], bool(asked)))
-        hub.close_rig()
-        return states
-
-    assert asyncio.run(playing()) == [(False, False), (True, True)]
-
-
 def test_any_page_can_stop_but_only_one_has_control(run):
     hub, asked = live_hub(run)
     first, second = Watcher(), Watcher()

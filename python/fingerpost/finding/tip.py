@@ -19,7 +19,7 @@ on half the length of a usual template. With dark nails, and with gloves that le
 free, the axis is turned by 1.5 to 2.5 degrees in rendered films."""
 
 MIN_CONTRAST = 3.0
-"""Contrast ahead of the tip that proves an extension, whatever the background [standard
+"""Contrast ahead of the tip that proves an extension before an unknown background [standard
 deviations]: at most 1.5 in 95 % of the frames of ordinary hands, 2 to 7 ahead of dark nails and
 cut gloves."""
 
@@ -28,7 +28,10 @@ MEAN_RATE = 0.2
 
 
 class TipTest:
-    """Running mean of the evidence for a finger ahead of the tip: foreground, or contrast."""
+    """Running mean of the evidence for a finger ahead of the tip.
+
+    Foreground where the background is known, contrast where not.
+    """
 
     def __init__(self) -> None:
         self.forget()
@@ -46,12 +49,10 @@ class TipTest:
         self, background: Background, frame: Frame, line: FingerLine, half_width_px: float
     ) -> None:
         """Test a frame; one without evidence changes nothing."""
-        evidence = [
-            foreground_ahead(background, frame, line, half_width_px),
-            contrast_ahead(frame, line, half_width_px) / MIN_CONTRAST,
-        ]
-        known = [part for part in evidence if math.isfinite(part)]
-        if known:
+        ahead = foreground_ahead(background, frame, line, half_width_px)
+        if not math.isfinite(ahead):  # the background is unknown
+            ahead = min(contrast_ahead(frame, line, half_width_px) / MIN_CONTRAST, 1.0)
+        if math.isfinite(ahead):
             self._frames += 1
             rate = max(MEAN_RATE, 1.0 / self._frames)
-            self._ahead += rate * (min(max(known), 1.0) - self._ahead)
+            self._ahead += rate * (ahead - self._ahead)

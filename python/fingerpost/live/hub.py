@@ -76,7 +76,6 @@ class Hub:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.watchers: set[Watcher] = set()
-        self._waits_for_page = False
         self.controller: Watcher | None = None
         self.rig: RigScene | None = None
         self.newest: bytes | None = None
@@ -109,9 +108,6 @@ class Hub:
             self._ask(math.inf)
         else:
             self._player = Player(self._ask, self._show, rig.frames, self._clock)
-            if not self.watchers:  # the first page that opens shows it from its beginning
-                self._player.stop()
-            self._waits_for_page = not self.watchers
             self._tasks.append(asyncio.create_task(self._player.run()))
         self.send_state()
 
@@ -175,9 +171,6 @@ class Hub:
     def add(self, watcher: Watcher) -> None:
         """Add a client."""
         self.watchers.add(watcher)
-        if self._player is not None and self._waits_for_page:
-            self._waits_for_page = False
-            self._player.play()
         if self.newest is not None:
             watcher.offer(self.newest, None)
         self.send_state()
