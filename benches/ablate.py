@@ -166,7 +166,7 @@ def clips() -> Iterator[tuple[str, Any, dict[int, np.ndarray], float, float]]:
 
 def measure_hard() -> dict[str, Figures]:
     """Play the hard cases of `robustness.py`; return the figures of each sequence."""
-    from robustness import CASES, configured, footage, steps_of
+    from robustness import CASES, PLANE_MM, configured, footage, steps_of
 
     found = {}
     for case, channels, index in product(CASES, ("grey", "bgr"), HARD_SEQUENCES):
@@ -181,7 +181,7 @@ def measure_hard() -> dict[str, Figures]:
         found[f"{case} {channels} {index}"] = Figures(
             frames=len(judged),
             points=len(reported),
-            square=sum((j.error_mm / 400.0) ** 2 for j in reported),
+            square=sum((j.error_mm / PLANE_MM) ** 2 for j in reported),
             held=sum(j.mahalanobis2 <= CHI2_95 for j in reported),
             wrong=sum(j.mahalanobis2 > 9.0 * CHI2_99 for j in reported),
             steps_s=steps_s,

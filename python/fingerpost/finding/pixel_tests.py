@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fingerpost._core import FingerLine
 from fingerpost.capture import Frame
 from fingerpost.finding.finger import Array, FingerDetection, places_about
+from fingerpost.finding.foreground import AHEAD, BESIDE_AXIS
 from fingerpost.pointing import PlaneView
 
 NOISE_GREY = 4.0
@@ -275,10 +276,8 @@ def _returns(differs: Array) -> bool:
     return bool(known.min() < MAX_RETURN * differs[far])
 
 
-BEYOND_TIP = np.linspace(0.5, 1.5, 4)
-BAND, SIDES = np.linspace(-0.4, 0.4, 3), np.linspace(1.6, 2.4, 3)
-"""Sample positions ahead of a tip, and across the axis: of a band that continues the finger, and of
-what is on either side of it [half-widths]."""
+SIDES = np.linspace(1.6, 2.4, 3)
+"""Sample positions on either side of a band that continues a finger [half-widths]."""
 
 
 def contrast_ahead(frame: Frame, line: FingerLine, half_width_px: float) -> float:
@@ -300,8 +299,8 @@ def contrast_ahead(frame: Frame, line: FingerLine, half_width_px: float) -> floa
         standard deviations of the levels of the sides; 0 if the band is between them. NaN where the
         image ends.
     """
-    band = _levels(frame, line, half_width_px, BEYOND_TIP, BAND)
-    sides = [_levels(frame, line, half_width_px, BEYOND_TIP, side * SIDES) for side in (1.0, -1.0)]
+    band = _levels(frame, line, half_width_px, AHEAD, BESIDE_AXIS)
+    sides = [_levels(frame, line, half_width_px, AHEAD, side * SIDES) for side in (1.0, -1.0)]
     one, other = (band.mean(axis=(0, 1)) - side.mean(axis=(0, 1)) for side in sides)
     if one @ other <= 0.0:
         return 0.0

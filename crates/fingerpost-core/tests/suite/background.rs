@@ -53,12 +53,16 @@ fn grey_of([b, g, r]: [f64; 3]) -> f64 {
     0.114 * b + 0.587 * g + 0.299 * r
 }
 
-const SKIN: [f64; 3] = [110.0, 140.0, 200.0];
+const HAND_COLOUR: [f64; 3] = [110.0, 140.0, 200.0];
 
 /// A square of skin of 24 px, its left edge at `left`.
 fn with_hand(left: usize) -> impl Fn(usize, usize) -> [f64; 3] {
     move |x, y| {
-        if (left..left + 24).contains(&x) && (30..54).contains(&y) { SKIN } else { table(x, y) }
+        if (left..left + 24).contains(&x) && (30..54).contains(&y) {
+            HAND_COLOUR
+        } else {
+            table(x, y)
+        }
     }
 }
 

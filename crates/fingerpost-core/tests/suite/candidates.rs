@@ -212,12 +212,12 @@ fn half_lit(hand: &Hand, skin: [f64; 3], table: [f64; 3], noise: &mut Noise) -> 
 
 #[test]
 fn a_half_lit_finger_is_detected_by_its_chromaticity() {
-    const SKIN: [f64; 3] = [90.0, 110.0, 160.0];
+    const HAND_COLOUR: [f64; 3] = [90.0, 110.0, 160.0];
     let mut noise = Noise::new(0x6861_6c66);
     for k in 0..20 {
         let hand = any_hand(Thumb::None, &mut noise);
         let likeness = |table: [f64; 3], noise: &mut Noise| {
-            let (picture, colours) = half_lit(&hand, SKIN, table, noise);
+            let (picture, colours) = half_lit(&hand, HAND_COLOUR, table, noise);
             let colour = ColourView::new(&colours, WIDTH, HEIGHT, 3 * WIDTH).unwrap();
             let frame = Frame::coloured(picture.view(), colour).unwrap();
             HandFinder::likeness(&frame, hand.tip_px, hand.angle_rad, hand.half_width_px)
@@ -227,7 +227,7 @@ fn a_half_lit_finger_is_detected_by_its_chromaticity() {
         let before_brown = likeness([41.0, 46.0, 54.0], &mut noise);
         assert!(before_brown > 0.85, "{k}: {before_brown}");
         // Before a table of the shaded skin's colour, only one flank is visible.
-        let before_skin = likeness(SKIN.map(|c| 0.4 * c), &mut noise);
+        let before_skin = likeness(HAND_COLOUR.map(|c| 0.4 * c), &mut noise);
         assert!(before_skin < 0.8 * before_brown, "{k}: {before_skin} of {before_brown}");
     }
 }

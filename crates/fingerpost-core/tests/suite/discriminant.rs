@@ -66,7 +66,7 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-const SKIN: [i32; 3] = [90, 110, 160];
+const HAND_COLOUR: [i32; 3] = [90, 110, 160];
 const WOOD: [i32; 3] = [96, 128, 125];
 
 /// Pixels of one level, a fraction of them one level higher in one channel.
@@ -96,7 +96,7 @@ fn nearly_equal_means_give_no_mixture() {
 #[test]
 fn it_is_the_mixture_of_fisher() {
     let spread = [[9, 12, 11], [3, 0, -3], [0, 2, -2]];
-    let (hand, background) = (class(SKIN, spread), class(WOOD, spread));
+    let (hand, background) = (class(HAND_COLOUR, spread), class(WOOD, spread));
     let discriminant = learned(&hand, &background);
     let mixture = discriminant.mixture().unwrap();
 
@@ -104,7 +104,7 @@ fn it_is_the_mixture_of_fisher() {
     // This includes the documented variance of noise and rounding.
     let scatter: Matrix3<f64> =
         columns.iter().map(|c| c * c.transpose()).sum::<Matrix3<f64>>() + Matrix3::identity();
-    let [skin, wood] = [SKIN, WOOD].map(|c| Vector3::from(c.map(f64::from)));
+    let [skin, wood] = [HAND_COLOUR, WOOD].map(|c| Vector3::from(c.map(f64::from)));
     let w = scatter.try_inverse().unwrap() * (skin - wood);
     let separation = (skin - wood).dot(&w).sqrt();
 
@@ -123,7 +123,7 @@ fn it_is_the_mixture_of_fisher() {
 fn classes_with_little_separation_have_enough_contrast_for_an_edge() {
     // The classes are 3.5 standard deviations apart, or 10 grey levels at three levels each.
     let spread = [[9, 12, 11], [6, 0, -6], [0, 8, -8]];
-    let (hand, background) = (class(SKIN, spread), class(WOOD, spread));
+    let (hand, background) = (class(HAND_COLOUR, spread), class(WOOD, spread));
     let discriminant = learned(&hand, &background);
     let mixture = discriminant.mixture().unwrap();
     let contrast = mean(&shown(mixture, &hand)) - mean(&shown(mixture, &background));
@@ -133,7 +133,7 @@ fn classes_with_little_separation_have_enough_contrast_for_an_edge() {
 #[test]
 fn relighting_gives_the_mixture_learned_in_that_light() {
     let spread = [[9, 12, 11], [3, 0, -3], [0, 2, -2]];
-    let (hand, background) = (class(SKIN, spread), class(WOOD, spread));
+    let (hand, background) = (class(HAND_COLOUR, spread), class(WOOD, spread));
     let light = 0.5;
     let lit = |colours: &[Colour]| -> Vec<Colour> {
         colours.iter().map(|c| c.map(|c| (f64::from(c) * light).round() as u8)).collect()
@@ -158,7 +158,7 @@ fn a_hand_with_contrast_in_grey_needs_no_mixture() {
 #[test]
 fn without_samples_there_is_no_mixture() {
     let spread = [[3, 0, 0], [0, 3, 0], [0, 0, 3]];
-    let skin = class(SKIN, spread);
+    let skin = class(HAND_COLOUR, spread);
     assert_eq!(Discriminant::default().mixture(), None);
     assert_eq!(learned(&skin, &[]).mixture(), None);
     assert_eq!(learned(&[], &skin).mixture(), None);
@@ -176,7 +176,7 @@ fn without_samples_there_is_no_mixture() {
 #[test]
 fn an_anchored_hand_is_not_forgotten() {
     let spread = [[3, 0, 0], [0, 3, 0], [0, 0, 3]];
-    let mut discriminant = learned(&class(SKIN, spread), &class(WOOD, spread));
+    let mut discriminant = learned(&class(HAND_COLOUR, spread), &class(WOOD, spread));
     let before = *discriminant.mixture().unwrap();
     discriminant.fade(1.0);
     discriminant.learn();
@@ -195,7 +195,7 @@ fn an_anchored_hand_is_not_forgotten() {
     }
     discriminant.learn();
     let mixture = discriminant.mixture().expect("skin still counts");
-    let (h, b) = (shown(mixture, &class(SKIN, spread)), shown(mixture, &wood));
+    let (h, b) = (shown(mixture, &class(HAND_COLOUR, spread)), shown(mixture, &wood));
     assert!(mean(&h) > mean(&b) + 3.0, "{h:?} {b:?}");
 }
 
@@ -211,7 +211,7 @@ fn an_image_is_computed_on_demand_and_grows() {
     const WIDTH: usize = 24;
     const HEIGHT: usize = 17;
     let spread = [[3, 0, 0], [0, 3, 0], [0, 0, 3]];
-    let discriminant = learned(&class(SKIN, spread), &class(WOOD, spread));
+    let discriminant = learned(&class(HAND_COLOUR, spread), &class(WOOD, spread));
     let mixture = discriminant.mixture().unwrap();
     let colours = many(WIDTH * HEIGHT);
     let all = shown(mixture, &colours);
@@ -256,7 +256,7 @@ fn an_image_is_computed_on_demand_and_grows() {
 #[test]
 fn a_frame_without_colours_is_passed_through() {
     let spread = [[3, 0, 0], [0, 3, 0], [0, 0, 3]];
-    let discriminant = learned(&class(SKIN, spread), &class(WOOD, spread));
+    let discriminant = learned(&class(HAND_COLOUR, spread), &class(WOOD, spread));
     let gray = [10, 20, 30, 40];
     let view = GrayView::new(&gray, 2, 2, 2).unwrap();
     let mut image = DiscriminantImage::default();
@@ -284,7 +284,7 @@ fn learned_by_chromaticity(hand: &[Colour], background: &[Colour]) -> Discrimina
 #[test]
 fn by_chromaticity_a_hand_has_one_level_in_light_and_shade() {
     let spread = [[2, 1, 0], [0, 2, 1], [1, 0, 2]];
-    let [bright, dark] = [1.0, 0.5].map(|light| class(lit(SKIN, light), spread));
+    let [bright, dark] = [1.0, 0.5].map(|light| class(lit(HAND_COLOUR, light), spread));
     // As dark as the shaded hand.
     let wood = class(lit(WOOD, 0.5), spread);
     let by_chromaticity = learned_by_chromaticity(&[bright.clone(), dark.clone()].concat(), &wood);
@@ -301,7 +301,7 @@ fn by_chromaticity_a_hand_has_one_level_in_light_and_shade() {
 #[test]
 fn by_chromaticity_brightness_alone_gives_no_separation() {
     let spread = [[2, 1, 0], [0, 2, 1], [1, 0, 2]];
-    let [bright, dark] = [1.0, 0.4].map(|light| class(lit(SKIN, light), spread));
+    let [bright, dark] = [1.0, 0.4].map(|light| class(lit(HAND_COLOUR, light), spread));
     assert!(learned(&bright, &dark).separation() > 10.0);
     let by_chromaticity = learned_by_chromaticity(&bright, &dark);
     assert!(

@@ -9,7 +9,7 @@ use nalgebra::{Point2, Vector2};
 const SIDE: usize = 80;
 /// Column at which the hand ends \[px\]: before paper above, before another background below.
 const EDGE: f64 = 40.0;
-const SKIN: [f64; 3] = [124.0, 139.0, 175.0];
+const HAND_COLOUR: [f64; 3] = [124.0, 139.0, 175.0];
 const PAPER: [f64; 3] = [191.0, 184.0, 178.0];
 const WOOD: [f64; 3] = [104.0, 124.0, 141.0];
 const BLUE: [f64; 3] = [170.0, 90.0, 60.0];
@@ -25,7 +25,7 @@ fn models_before_and_after(inside: [f64; 3], behind: [f64; 3]) -> [AppearanceMod
         let (x, y) = (i % SIDE, i / SIDE);
         let below = 2 * y >= SIDE;
         let colour = match (x < EDGE as usize, below) {
-            (true, false) => SKIN,
+            (true, false) => HAND_COLOUR,
             (true, true) => inside,
             (false, false) => PAPER,
             (false, true) => behind,
@@ -61,7 +61,7 @@ fn models_before_and_after(inside: [f64; 3], behind: [f64; 3]) -> [AppearanceMod
 
 /// Difference of brightness between skin and wood in the mixture \[grey levels\].
 fn contrast(appearance: &AppearanceModel) -> f64 {
-    let colours = [SKIN, WOOD].map(|colour| colour.map(|c| c as u8));
+    let colours = [HAND_COLOUR, WOOD].map(|colour| colour.map(|c| c as u8));
     let gray = GrayView::new(&[0; 2], 2, 1, 2).unwrap();
     let colour = ColourView::new(colours.as_flattened(), 2, 1, 6).unwrap();
     let frame = Frame::coloured(gray, colour).unwrap();
@@ -74,7 +74,7 @@ fn contrast(appearance: &AppearanceModel) -> f64 {
 
 #[test]
 fn the_background_is_learned_where_the_hand_has_no_edge() {
-    let [before, after] = models_before_and_after(SKIN, WOOD);
+    let [before, after] = models_before_and_after(HAND_COLOUR, WOOD);
     // The threshold of an edge is half of the least contrast of a hand.
     assert!(contrast(&before) < 9.0, "{}", contrast(&before));
     assert!(contrast(&after) >= 17.0, "{}", contrast(&after));
@@ -83,7 +83,7 @@ fn the_background_is_learned_where_the_hand_has_no_edge() {
 
 #[test]
 fn nothing_is_learned_before_another_hand_or_from_an_occluder() {
-    for (inside, behind) in [(SKIN, SKIN), (BLUE, WOOD), (BLUE, BLUE)] {
+    for (inside, behind) in [(HAND_COLOUR, HAND_COLOUR), (BLUE, WOOD), (BLUE, BLUE)] {
         let [before, after] = models_before_and_after(inside, behind);
         assert_eq!(after.discriminant.mixture(), before.discriminant.mixture());
         assert_eq!(after.plain, before.plain);
