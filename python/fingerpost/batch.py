@@ -109,7 +109,7 @@ def tasks(patterns: Sequence[str], options: Mapping[str, Any]) -> list[Task]:
     for pattern in patterns:
         found = sorted(glob.glob(pattern, recursive=True))  # noqa: PTH207 - absolute patterns too
         if not found:
-            raise InvalidInputError(f"{pattern}: no file matches; rig files or recordings are")
+            raise InvalidInputError(f"{pattern}: no file matches; rigs or recordings are needed")
         paths.update(dict.fromkeys(Path(os.path.abspath(name)) for name in found))  # noqa: PTH100
     return [
         Task(
