@@ -13,7 +13,7 @@
 //! robust cost, from several initial bodies that share either flank with the given one, and once
 //! more from the best of them.
 
-use super::shading::{Residuals, Section, ShadingProfile};
+use super::shading::{Section, SectionFit, ShadingProfile};
 use crate::geometry::shape_space::Axis;
 use crate::geometry::template::USUAL_HALF_WIDTH;
 use crate::image::frame::Frame;
@@ -50,8 +50,6 @@ const LAST_ITERATIONS: usize = 12;
 const SETTLED: f64 = 1e-3;
 /// Attempts with increasing damping per iteration.
 const SHORTENED: usize = 4;
-/// Step of the forward differences in every number of a section.
-const DIFFERENCE: f64 = 1e-3;
 
 /// Unknowns: offset and slope of the axis, half-width and its growth, the logarithm of the blur,
 /// and the light's angle at every profile.
@@ -176,6 +174,19 @@ enum Axes {
     Held,
 }
 
+/// The best levels of a body, and its cost.
+struct BodyFit {
+    sections: [SectionFit; PROFILES],
+    cost: f64,
+}
+
+impl BodyFit {
+    /// Before the first fit.
+    fn none() -> Self {
+        Self { sections: std::array::from_fn(|_| SectionFit::none()), cost: f64::INFINITY }
+    }
+}
+
 /// Profiles across an axis, in units of about a half-width.
 struct ObservedProfiles {
     profiles: [(f64, ShadingProfile); PROFILES],
@@ -209,21 +220,25 @@ impl ObservedProfiles {
     /// The cost of a body of given offset and half-width under the best of the initial lights, and
     /// its unknowns.
     fn first(&self, [offset, half_width]: [f64; 2]) -> (f64, RoundVector) {
+        let mut body = BodyFit::none();
         let trials = FIRST_LIGHTS_RAD.map(|light| {
             let mut x = RoundVector::from_element(light);
             (x[OFFSET], x[SLOPE]) = (offset, 0.0);
             (x[HALF_WIDTH], x[GROWTH]) = (half_width, TAPER[0]);
             x[LOG_BLUR] = 0.0;
-            (self.cost(&x), x)
+            self.fit(&x, &mut body);
+            (body.cost, x)
         });
         trials.iter().fold(trials[0], |best, &one| if one.0 < best.0 { one } else { best })
     }
 
     /// Minimises the cost from x; returns the least cost found and its unknowns.
     fn minimise(&self, mut x: RoundVector, iterations: usize, axes: Axes) -> (f64, RoundVector) {
-        let (mut cost, mut damping) = (self.cost(&x), 1e-2);
+        let (mut best, mut next) = (BodyFit::none(), BodyFit::none());
+        self.fit(&x, &mut best);
+        let mut damping = 1e-2;
         for _ in 0..iterations {
-            let (mut hessian, mut gradient) = self.linearised(&x);
+            let (mut hessian, mut gradient) = self.linearised(&x, &best);
             if axes == Axes::Held {
                 for k in [OFFSET, SLOPE] {
                     hessian.row_mut(k).fill(0.0);
@@ -231,45 +246,46 @@ impl ObservedProfiles {
                     (hessian[(k, k)], gradient[k]) = (1.0, 0.0);
                 }
             }
-            let before = cost;
+            let before = best.cost;
             for _ in 0..SHORTENED {
                 let mut damped = hessian;
                 for k in 0..UNKNOWNS {
                     damped[(k, k)] += damping * hessian[(k, k)] + 1e-9;
                 }
                 let Some(factor) = Cholesky::new(damped) else { break };
-                let next = bounded(x - factor.solve(&gradient));
-                let now = self.cost(&next);
-                if now < cost {
-                    (x, cost) = (next, now);
+                let there = bounded(x - factor.solve(&gradient));
+                self.fit(&there, &mut next);
+                if next.cost < best.cost {
+                    x = there;
+                    std::mem::swap(&mut best, &mut next);
                     damping *= 0.2;
                     break;
                 }
                 damping *= 8.0;
             }
-            if before - cost < SETTLED * before {
+            if before - best.cost < SETTLED * before {
                 break;
             }
         }
-        (cost, x)
+        (best.cost, x)
     }
 
-    /// The cost: robust misfit to the profiles, plus the prior.
-    fn cost(&self, x: &RoundVector) -> f64 {
-        let misfit = |(j, (p, profile)): (usize, &(f64, ShadingProfile))| {
-            let residuals = profile.residuals(&section(x, j, *p));
-            residuals.iter().map(|r| (1.0 + r * r).sqrt() - 1.0).sum::<f64>()
-        };
-        let misfits: f64 = self.profiles.iter().enumerate().map(misfit).sum();
+    /// Fits the levels of a body. Its cost is the robust misfit to the profiles, plus the prior.
+    fn fit(&self, x: &RoundVector, body: &mut BodyFit) {
         let prior: f64 = expectations(x).map(|e| 0.5 * (e.differs / e.sigma).powi(2)).sum();
-        misfits + self.redundancy * prior
+        body.cost = self.redundancy * prior;
+        for (j, ((p, profile), fit)) in self.profiles.iter().zip(&mut body.sections).enumerate() {
+            profile.fit(&section(x, j, *p), fit);
+            body.cost += fit.cost;
+        }
     }
 
     /// Normal equations of the cost: the matrix and the gradient.
-    fn linearised(&self, x: &RoundVector) -> (Matrix, RoundVector) {
+    fn linearised(&self, x: &RoundVector, body: &BodyFit) -> (Matrix, RoundVector) {
         let (mut hessian, mut gradient) = (Matrix::zeros(), RoundVector::zeros());
-        for (j, &(p, ref profile)) in self.profiles.iter().enumerate() {
-            let (squares, slopes) = normal_equations(profile, &section(x, j, p));
+        for (j, ((p, profile), fit)) in self.profiles.iter().zip(&body.sections).enumerate() {
+            let p = *p;
+            let equations = profile.normal_equations(&section(x, j, p), fit);
             // The unknown, the number of the section that it changes, and the derivative.
             let derivatives = [
                 (OFFSET, 0, 1.0),
@@ -280,9 +296,9 @@ impl ObservedProfiles {
                 (LOG_BLUR, 3, 1.0),
             ];
             for (k, a, by) in derivatives {
-                gradient[k] += by * slopes[a];
+                gradient[k] += by * equations.gradient[a];
                 for (l, b, other_by) in derivatives {
-                    hessian[(k, l)] += by * other_by * squares[a][b];
+                    hessian[(k, l)] += by * other_by * equations.matrix[a][b];
                 }
             }
         }
@@ -299,31 +315,6 @@ impl ObservedProfiles {
         }
         (hessian, gradient)
     }
-}
-
-/// Normal matrix and gradient of a profile's cost in the four numbers of a section: its middle,
-/// half-width, light and blur.
-fn normal_equations(profile: &ShadingProfile, at: &Section) -> ([[f64; 4]; 4], [f64; 4]) {
-    let Section { middle, half_width, light_rad, log_blur } = *at;
-    let perturbed: [Residuals; 4] = [
-        Section { middle: middle + DIFFERENCE, ..*at },
-        Section { half_width: half_width + DIFFERENCE, ..*at },
-        Section { light_rad: light_rad + DIFFERENCE, ..*at },
-        Section { log_blur: log_blur + DIFFERENCE, ..*at },
-    ]
-    .map(|section| profile.residuals(&section));
-    let (mut squares, mut slopes) = ([[0.0; 4]; 4], [0.0; 4]);
-    for (i, &residual) in profile.residuals(at).iter().enumerate() {
-        let weight = 1.0 / (1.0 + residual * residual).sqrt();
-        let changes = perturbed.each_ref().map(|m| (m[i] - residual) / DIFFERENCE);
-        for (a, change) in changes.iter().enumerate() {
-            slopes[a] += weight * change * residual;
-            for (b, other) in changes.iter().enumerate() {
-                squares[a][b] += weight * change * other;
-            }
-        }
-    }
-    (squares, slopes)
 }
 
 /// The section at profile `j`, p units ahead of the anchor.

@@ -9,9 +9,15 @@
 //! parameters and are eliminated for given position, width, light and blur; the residuals are those
 //! of the best levels.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
 use crate::geometry::shape_space::Axis;
 use crate::image::frame::Frame;
-use nalgebra::{Cholesky, Point2, SMatrix};
+use crate::numeric::simd::{Isa, Work, each};
+use nalgebra::{Cholesky, Const, Point2, SMatrix};
 
 /// Number of samples of a profile, and the distance of the outermost from the axis \[half-widths\].
 const PLACES: usize = 31;
@@ -42,9 +48,15 @@ const SCALE_GREY: f64 = 3.0;
 /// Unit of the penalty on negative levels of ambient and directional light \[grey levels\].
 const DARKER_GREY: f64 = 10.0;
 
-/// Per channel the residuals of the pixels, then those of the two levels that may not be negative.
-const RESIDUALS: usize = CHANNELS * (PLACES + 2);
-pub(super) type Residuals = [f64; RESIDUALS];
+/// Step of the forward differences of the coefficients in every number of a section.
+const DIFFERENCE: f32 = 1e-3;
+
+/// Lanes of a profile: its samples, then one of weight 0.
+const LANES: usize = PLACES + 1;
+/// Sums over lanes are taken in this many, on every processor.
+const SUMS: usize = 8;
+type Lanes = [f32; LANES];
+type Levels = SMatrix<f64, LEVELS, CHANNELS>;
 
 /// A cross-section of the body.
 #[derive(Debug, Clone, Copy)]
@@ -58,12 +70,54 @@ pub(super) struct Section {
     pub log_blur: f64,
 }
 
+/// Number of unknowns of a section.
+const NUMBERS: usize = 4;
+
+/// Normal matrix and gradient of a profile's cost in the numbers of a section: its middle,
+/// half-width, light and blur.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct NormalEquations {
+    pub matrix: [[f64; NUMBERS]; NUMBERS],
+    pub gradient: [f64; NUMBERS],
+}
+
 /// The levels across a finger at one place along it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ShadingProfile {
-    levels: [[f64; CHANNELS]; PLACES],
+    /// Levels of each channel, times the weights of the samples.
+    weighted: [Lanes; CHANNELS],
     channels: usize,
     unit_px: f64,
+}
+
+/// The best levels of a section for a profile, and what they leave.
+#[derive(Debug, Clone)]
+pub(super) struct SectionFit {
+    /// Coefficients of each level at every sample, times its weight.
+    coefficients: [Lanes; LEVELS],
+    /// Factor of the levels' normal matrix; `None` before the first fit.
+    factor: Option<Cholesky<f64, Const<LEVELS>>>,
+    levels: Levels,
+    /// Residuals of the samples, and of the two levels that may not be negative, in units of
+    /// [`SCALE_GREY`] and [`DARKER_GREY`].
+    residuals: [Lanes; CHANNELS],
+    negative: [[f64; 2]; CHANNELS],
+    /// Sum of the robust costs √(1 + r²) − 1 of all residuals.
+    pub cost: f64,
+}
+
+impl SectionFit {
+    /// Before the first fit.
+    pub fn none() -> Self {
+        Self {
+            coefficients: [[0.0; LANES]; LEVELS],
+            factor: None,
+            levels: Levels::zeros(),
+            residuals: [[0.0; LANES]; CHANNELS],
+            negative: [[0.0; 2]; CHANNELS],
+            cost: 0.0,
+        }
+    }
 }
 
 impl ShadingProfile {
@@ -71,76 +125,53 @@ impl ShadingProfile {
     /// `None` where a sample is outside the image.
     pub fn of(frame: &Frame<'_>, axis: &Axis, along: f64, unit_px: f64) -> Option<Self> {
         let (e, n) = (axis.direction() * unit_px, axis.normal() * unit_px);
-        let mut levels = [[0.0; CHANNELS]; PLACES];
-        for ((q, _), mean) in places().zip(&mut levels) {
+        let mut weighted = [[0.0; LANES]; CHANNELS];
+        for i in 0..PLACES {
+            let mut mean = [0.0; CHANNELS];
             for row in 0..ROWS {
                 let p = along + ROW_STEP * (row as f64 - 0.5 * (ROWS - 1) as f64);
-                let sample = levels_at(frame, axis.anchor + e * p + n * q)?;
-                for (mean, level) in mean.iter_mut().zip(sample) {
+                let at = axis.anchor + e * p + n * f64::from(place(i));
+                for (mean, level) in mean.iter_mut().zip(levels_at(frame, at)?) {
                     *mean += level / ROWS as f64;
                 }
             }
+            for (lanes, mean) in weighted.iter_mut().zip(mean) {
+                lanes[i] = weight(i) * mean as f32;
+            }
         }
         let channels = if frame.colour().is_some() { CHANNELS } else { 1 };
-        Some(Self { levels, channels, unit_px })
+        Some(Self { weighted, channels, unit_px })
     }
 
-    /// Residuals against the body's best levels, in units of [`SCALE_GREY`].
-    pub fn residuals(&self, section: &Section) -> Residuals {
-        let blur = section.log_blur.exp() / self.unit_px;
-        let light = section.light_rad.sin_cos();
-        let mut parts = [[0.0; LEVELS]; PLACES];
-        // The full matrix, though half would do: the compiler vectorises it.
-        let mut normal = [[0.0; LEVELS]; LEVELS];
-        let mut right = [[0.0; LEVELS]; CHANNELS];
-        for (((q, weight), part), levels) in places().zip(&mut parts).zip(&self.levels) {
-            let lateral = q - section.middle;
-            *part =
-                level_coefficients(lateral, section.half_width, light, blur).map(|b| b * weight);
-            for (row, by) in normal.iter_mut().zip(*part) {
-                for (sum, share) in row.iter_mut().zip(part.iter()) {
-                    *sum += by * share;
-                }
-            }
-            for (row, level) in right.iter_mut().zip(levels).take(self.channels) {
-                for (sum, share) in row.iter_mut().zip(part.iter()) {
-                    *sum += share * (level * weight);
-                }
-            }
-        }
-        let mut normal = SMatrix::from(normal);
-        for (k, ridge) in RIDGE.iter().enumerate() {
-            normal[(k, k)] += ridge;
-        }
-        let right = SMatrix::<f64, LEVELS, CHANNELS>::from(right);
-        let mut residuals = [0.0; RESIDUALS];
-        // The ridge keeps it positive definite for every section.
-        let Some(factor) = Cholesky::new(normal) else { return residuals };
-        let best = factor.solve(&right);
-        for k in 0..self.channels {
-            let channel_residuals = &mut residuals[k * (PLACES + 2)..(k + 1) * (PLACES + 2)];
-            for ((residual, (_, weight)), (part, levels)) in
-                channel_residuals.iter_mut().zip(places()).zip(parts.iter().zip(&self.levels))
-            {
-                let estimated: f64 = part.iter().zip(&best.column(k)).map(|(p, l)| p * l).sum();
-                *residual = (estimated - weight * levels[k]) / SCALE_GREY;
-            }
-            for (residual, level) in
-                channel_residuals[PLACES..].iter_mut().zip([EVERYWHERE, ONE_SIDE])
-            {
-                *residual = best[(level, k)].min(0.0) / DARKER_GREY;
-            }
-        }
-        residuals
+    /// Fits the body's levels for a section.
+    pub fn fit(&self, section: &Section, fit: &mut SectionFit) {
+        Isa::detect().run(FitSection { profile: self, section, fit });
+    }
+
+    /// The normal equations at a section, given its fit.
+    pub fn normal_equations(&self, section: &Section, fit: &SectionFit) -> NormalEquations {
+        let mut equations = NormalEquations::default();
+        Isa::detect().run(Linearise { profile: self, section, fit, equations: &mut equations });
+        equations
     }
 }
 
-/// Positions of the samples of a profile, and their weights.
-fn places() -> impl Iterator<Item = (f64, f64)> {
-    (0..PLACES).map(|i| {
-        let q = REACH * (2.0 * i as f64 / (PLACES - 1) as f64 - 1.0);
-        (q, if q.abs() < NEAR { 1.0 } else { FAR_WEIGHT })
-    })
+/// Position of a sample \[half-widths\].
+#[inline(always)]
+fn place(i: usize) -> f32 {
+    REACH as f32 * (2.0 * i as f32 / (PLACES - 1) as f32 - 1.0)
+}
+
+/// Weight of a sample; 0 beyond the last.
+#[inline(always)]
+fn weight(i: usize) -> f32 {
+    if i >= PLACES {
+        0.0
+    } else if place(i).abs() < NEAR as f32 {
+        1.0
+    } else {
+        FAR_WEIGHT as f32
+    }
 }
 
 /// The levels of a frame at a point, of all channels if it has colours; `None` outside the image.
@@ -151,34 +182,210 @@ fn levels_at(frame: &Frame<'_>, at: Point2<f64>) -> Option<[f64; CHANNELS]> {
     }
 }
 
-/// Coefficients of the levels at the distance `lateral` from the middle of a body, for the sine
-/// and cosine of the light's angle.
-fn level_coefficients(
-    lateral: f64,
-    half_width: f64,
-    (sin, cos): (f64, f64),
-    blur: f64,
-) -> [f64; LEVELS] {
-    let left = 1.0 - step((lateral + half_width) / blur);
-    let right = 1.0 - step((half_width - lateral) / blur);
-    let inside = (1.0 - left) * (1.0 - right);
-    let y = (lateral / half_width).clamp(-1.0, 1.0);
-    let z = (1.0 - y * y).sqrt();
-    let facing = y * sin + z * cos;
-    let lit = 0.5 * (facing + (facing * facing + TERMINATOR * TERMINATOR).sqrt());
-    [
-        inside,
-        inside * lit,
-        inside * y,
-        inside * z,
-        left,
-        right,
-        left * (lateral + half_width) / SLOPE,
-        right * (lateral - half_width) / SLOPE,
-    ]
+struct FitSection<'a> {
+    profile: &'a ShadingProfile,
+    section: &'a Section,
+    fit: &'a mut SectionFit,
 }
 
-/// A blurred step: the normal distribution function to within 0.01.
-fn step(x: f64) -> f64 {
-    1.0 / (1.0 + (-1.702 * x).exp())
+impl Work for FitSection<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let Self { profile, section, fit } = self;
+        fit.coefficients = level_coefficients(section, profile.unit_px);
+        let mut normal = SMatrix::<f64, LEVELS, LEVELS>::zeros();
+        for a in 0..LEVELS {
+            for b in 0..=a {
+                normal[(a, b)] = dot(&fit.coefficients[a], &fit.coefficients[b]);
+            }
+            normal[(a, a)] += RIDGE[a];
+        }
+        let mut right = Levels::zeros();
+        for k in 0..profile.channels {
+            for a in 0..LEVELS {
+                right[(a, k)] = dot(&fit.coefficients[a], &profile.weighted[k]);
+            }
+        }
+        // The ridge keeps it positive definite for every section.
+        fit.factor = Cholesky::new(normal);
+        fit.levels = fit.factor.as_ref().map_or_else(Levels::zeros, |factor| factor.solve(&right));
+        fit.cost = 0.0;
+        for k in 0..profile.channels {
+            let estimated = combined(&fit.coefficients, &fit.levels, k);
+            let residual =
+                |i: usize| (estimated[i] - profile.weighted[k][i]) * (1.0 / SCALE_GREY as f32);
+            fit.residuals[k] = each(residual);
+            let robust: Lanes = each(|i| {
+                let square = fit.residuals[k][i] * fit.residuals[k][i];
+                square / (1.0 + (1.0 + square).sqrt())
+            });
+            fit.cost += sum(&robust);
+            for (n, level) in [EVERYWHERE, ONE_SIDE].into_iter().enumerate() {
+                let residual = fit.levels[(level, k)].min(0.0) / DARKER_GREY;
+                fit.negative[k][n] = residual;
+                fit.cost += (1.0 + residual * residual).sqrt() - 1.0;
+            }
+        }
+    }
+}
+
+struct Linearise<'a> {
+    profile: &'a ShadingProfile,
+    section: &'a Section,
+    fit: &'a SectionFit,
+    equations: &'a mut NormalEquations,
+}
+
+impl Work for Linearise<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let Self { profile, section, fit, equations } = self;
+        let Some(factor) = &fit.factor else { return };
+        let (by, step) = (&fit.coefficients, f64::from(DIFFERENCE));
+        let perturbed = [
+            Section { middle: section.middle + step, ..*section },
+            Section { half_width: section.half_width + step, ..*section },
+            Section { light_rad: section.light_rad + step, ..*section },
+            Section { log_blur: section.log_blur + step, ..*section },
+        ];
+        let mut changes = [[[0.0; LANES]; CHANNELS]; NUMBERS];
+        let mut level_changes = [Levels::zeros(); NUMBERS];
+        for (n, perturbed) in perturbed.iter().enumerate() {
+            let moved = level_coefficients(perturbed, profile.unit_px);
+            let slopes: [Lanes; LEVELS] =
+                each(|a| each(|i| (moved[a][i] - by[a][i]) * (1.0 / DIFFERENCE)));
+            // With coefficients A and residuals r = A l − y of the best levels l = N⁻¹ Aᵀ y:
+            // l' = −N⁻¹ (A'ᵀ r + Aᵀ A' l) and r' = A' l + A l'.
+            let mut right = Levels::zeros();
+            for k in 0..profile.channels {
+                let direct = combined(&slopes, &fit.levels, k);
+                for a in 0..LEVELS {
+                    right[(a, k)] =
+                        -(SCALE_GREY * dot(&slopes[a], &fit.residuals[k]) + dot(&by[a], &direct));
+                }
+                changes[n][k] = direct;
+            }
+            factor.solve_mut(&mut right);
+            for k in 0..profile.channels {
+                let indirect = combined(by, &right, k);
+                changes[n][k] =
+                    each(|i| (changes[n][k][i] + indirect[i]) * (1.0 / SCALE_GREY as f32));
+            }
+            level_changes[n] = right;
+        }
+        for k in 0..profile.channels {
+            let residuals = &fit.residuals[k];
+            let weights: Lanes = each(|i| 1.0 / (1.0 + residuals[i] * residuals[i]).sqrt());
+            for a in 0..NUMBERS {
+                let weighed: Lanes = each(|i| weights[i] * changes[a][k][i]);
+                equations.gradient[a] += dot(&weighed, residuals);
+                for (b, change) in changes.iter().enumerate() {
+                    equations.matrix[a][b] += dot(&weighed, &change[k]);
+                }
+            }
+            for (n, level) in [EVERYWHERE, ONE_SIDE].into_iter().enumerate() {
+                let residual = fit.negative[k][n];
+                if residual == 0.0 {
+                    continue;
+                }
+                let weight = 1.0 / (1.0 + residual * residual).sqrt();
+                let change = level_changes.each_ref().map(|l| l[(level, k)] / DARKER_GREY);
+                for a in 0..NUMBERS {
+                    equations.gradient[a] += weight * change[a] * residual;
+                    for b in 0..NUMBERS {
+                        equations.matrix[a][b] += weight * change[a] * change[b];
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Coefficients of each level at every sample of a section, times the sample's weight.
+#[inline(always)]
+fn level_coefficients(section: &Section, unit_px: f64) -> [Lanes; LEVELS] {
+    let per_blur = (unit_px / section.log_blur.exp()) as f32;
+    let (sin, cos) = section.light_rad.sin_cos();
+    let (sin, cos) = (sin as f32, cos as f32);
+    let (middle, half_width) = (section.middle as f32, section.half_width as f32);
+    let per_width = 1.0 / half_width;
+    let mut coefficients = [[0.0; LANES]; LEVELS];
+    let lateral: Lanes = each(|i| place(i) - middle);
+    let weights: Lanes = each(weight);
+    for i in 0..LANES {
+        let (q, weight) = (lateral[i], weights[i]);
+        let left = weight * (1.0 - step((q + half_width) * per_blur));
+        let right = weight * (1.0 - step((half_width - q) * per_blur));
+        let inside = weight * step((q + half_width) * per_blur) * step((half_width - q) * per_blur);
+        let y = (q * per_width).clamp(-1.0, 1.0);
+        let z = (1.0 - y * y).sqrt();
+        let facing = y * sin + z * cos;
+        let soft = TERMINATOR as f32 * TERMINATOR as f32;
+        let lit = 0.5 * (facing + (facing * facing + soft).sqrt());
+        coefficients[0][i] = inside;
+        coefficients[1][i] = inside * lit;
+        coefficients[2][i] = inside * y;
+        coefficients[3][i] = inside * z;
+        coefficients[4][i] = left;
+        coefficients[5][i] = right;
+        coefficients[6][i] = left * (q + half_width) * (1.0 / SLOPE as f32);
+        coefficients[7][i] = right * (q - half_width) * (1.0 / SLOPE as f32);
+    }
+    coefficients
+}
+
+/// A blurred step: the logistic function 1 / (1 + exp(−1.702 x)), which is the normal distribution
+/// function to within 0.01, with exp(−t) as (1 + t / 16 + t² / 512)⁻¹⁶.
+#[inline(always)]
+fn step(x: f32) -> f32 {
+    let t = 1.702 * x.abs();
+    let mut power = 1.0 + t * (1.0 / 16.0 + t * (1.0 / 512.0));
+    for _ in 0..4 {
+        power *= power;
+    }
+    let tail = 1.0 / (1.0 + power);
+    if x > 0.0 { 1.0 - tail } else { tail }
+}
+
+/// The levels at every sample of one channel, times its weight.
+#[inline(always)]
+fn combined(coefficients: &[Lanes; LEVELS], levels: &Levels, channel: usize) -> Lanes {
+    let mut lanes = [0.0; LANES];
+    for (by, level) in coefficients.iter().zip(levels.column(channel).iter()) {
+        let level = *level as f32;
+        for (out, by) in lanes.iter_mut().zip(by) {
+            *out += by * level;
+        }
+    }
+    lanes
+}
+
+/// The sum of the products of all lanes.
+#[inline(always)]
+fn dot(one: &Lanes, other: &Lanes) -> f64 {
+    let mut sums = [0.0; SUMS];
+    for (some, others) in one.chunks_exact(SUMS).zip(other.chunks_exact(SUMS)) {
+        for ((sum, a), b) in sums.iter_mut().zip(some).zip(others) {
+            *sum += a * b;
+        }
+    }
+    total(sums)
+}
+
+/// The sum of all lanes.
+#[inline(always)]
+fn sum(lanes: &Lanes) -> f64 {
+    let mut sums = [0.0; SUMS];
+    for some in lanes.chunks_exact(SUMS) {
+        for (sum, lane) in sums.iter_mut().zip(some) {
+            *sum += lane;
+        }
+    }
+    total(sums)
+}
+
+/// The sum of partial sums, in pairs, as vector instructions add halves.
+#[inline(always)]
+fn total([a, b, c, d, e, f, g, h]: [f32; SUMS]) -> f64 {
+    f64::from(((a + e) + (c + g)) + ((b + f) + (d + h)))
 }
