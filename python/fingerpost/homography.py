@@ -183,13 +183,39 @@ def transfer_to_plane(
     InvalidInputError
         A singular matrix.
     """
+    return transfer_by_inverse(inverse(image_from_plane), image_points_px)
+
+
+def inverse(image_from_plane: ArrayLike) -> NDArray[np.float64]:
+    """Invert a homography.
+
+    Parameters
+    ----------
+    image_from_plane : (..., 3, 3)
+
+    Returns
+    -------
+    (..., 3, 3)
+        `plane_from_image`: maps a point in front to ``X~ / W``, so that its third entry has the
+        sign of W.
+
+    Raises
+    ------
+    InvalidInputError
+        A singular matrix.
+    """
     T = finite_array(image_from_plane, "image_from_plane", (..., 3, 3))
-    image_points_px = finite_array(image_points_px, "image_points_px", (..., 2))
     try:
-        plane_from_image = np.asarray(np.linalg.inv(T), dtype=np.float64)
+        return np.asarray(np.linalg.inv(T), dtype=np.float64)
     except np.linalg.LinAlgError as error:
         raise InvalidInputError(f"image_from_plane is singular: {T.tolist()}") from error
-    # T X~ = W x~ gives T⁻¹ x~ = X~ / W: the third entry has the sign of W.
+
+
+def transfer_by_inverse(
+    plane_from_image: NDArray[np.float64], image_points_px: ArrayLike
+) -> NDArray[np.float64]:
+    """Map pixels to points of the plane, as `transfer_to_plane`, by the result of `inverse`."""
+    image_points_px = finite_array(image_points_px, "image_points_px", (..., 2))
     return _in_front(_multiply(plane_from_image, image_points_px))
 
 

@@ -26,8 +26,9 @@ from fingerpost.checks import covariance_array, finite_array, in_range
 from fingerpost.errors import DegenerateReferencePointsError, InvalidInputError
 from fingerpost.homography import (
     estimate_image_from_plane,
+    inverse,
+    transfer_by_inverse,
     transfer_to_image,
-    transfer_to_plane,
 )
 from fingerpost.lens import Lens
 from fingerpost.uncertainty import (
@@ -393,12 +394,15 @@ class PlaneView:
             Plane units; NaN above the horizon or outside the domain of the lens model.
         """
         if self.lens is None:
-            return transfer_to_plane(self.image_from_plane, image_points_px)
+            return transfer_by_inverse(self._plane_from_image, image_points_px)
         ideal = self.lens.undistort(image_points_px)
         seen = np.isfinite(ideal).all(axis=-1, keepdims=True)
-        return np.where(
-            seen, transfer_to_plane(self.image_from_plane, np.where(seen, ideal, 0.0)), np.nan
-        )
+        points = transfer_by_inverse(self._plane_from_image, np.where(seen, ideal, 0.0))
+        return np.where(seen, points, np.nan)
+
+    @cached_property
+    def _plane_from_image(self) -> NDArray[np.float64]:
+        return inverse(self.image_from_plane)
 
     @cached_property
     def _floats(self) -> tuple[list[list[float]], list[list[float]]]:

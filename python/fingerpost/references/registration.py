@@ -325,9 +325,9 @@ class _Level:
         better = np.argsort(-self._information, kind="stable")[: len(row) // 2]
         # A pixel without gradient has no information.
         some = better[self._information[better] > 0.0][::SUBSAMPLING]
-        self._some = row[some], column[some]
+        self._some = row[some] * picture.shape[1] + column[some]
         self._some_by_px = np.linalg.norm(by_px[some], axis=1)
-        self._some_levels = picture[self._some].astype(np.int16)
+        self._some_levels = picture.ravel()[self._some].astype(np.int16)
 
     @cached_property
     def _noise_levels(self) -> float:
@@ -354,7 +354,7 @@ class _Level:
         """Return the median apparent motion of some pixels, less a common change of level."""
         if len(self._some_levels) == 0:
             return 0.0
-        off = now[self._some] - self._some_levels
+        off = now.ravel()[self._some] - self._some_levels
         return float(np.median(np.abs(off - np.median(off)) / self._some_by_px))
 
     def is_static(self, smooth: NDArray[np.float32], guess: Array, hand: Segment | None) -> bool:

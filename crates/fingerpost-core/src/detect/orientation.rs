@@ -45,6 +45,8 @@ pub(super) struct Level {
     gradients: Gradients,
     image: Vec<u8>,
     orientations: Vec<u8>,
+    /// Orientations of three neighbours in a row, from the first on.
+    rows: Vec<u8>,
     spread: Vec<u8>,
     responses: Vec<u8>,
     flank: [Vec<u8>; 2],
@@ -153,19 +155,21 @@ impl Octave {
     pub(super) fn halve(&mut self, from: &Self, channels: usize) {
         (self.width, self.height) = ((from.width / 2).max(1), (from.height / 2).max(1));
         self.planes.clear();
-        let (right, below) =
-            (usize::from(from.width > 1), if from.height > 1 { from.width } else { 0 });
-        for c in 0..channels {
-            let plane = &from.planes[c * from.width * from.height..][..from.width * from.height];
-            for y in 0..self.height {
+        self.planes.resize(channels * self.width * self.height, 0);
+        let below = if from.height > 1 { from.width } else { 0 };
+        let planes = self.planes.chunks_exact_mut(self.width * self.height);
+        for (plane, half) in from.planes.chunks_exact(from.width * from.height).zip(planes) {
+            for (y, out) in half.chunks_exact_mut(self.width).enumerate() {
                 let above = &plane[2 * y.min(from.height / 2) * from.width..];
-                let below = &above[below..][..from.width];
-                if right == 0 {
-                    self.planes.push(quarter(above[0], above[0], below[0], below[0]));
+                let (above, below) = (&above[..from.width], &above[below..][..from.width]);
+                if from.width == 1 {
+                    out[0] = quarter(above[0], above[0], below[0], below[0]);
                     continue;
                 }
-                let pairs = above[..from.width].chunks_exact(2).zip(below.chunks_exact(2));
-                self.planes.extend(pairs.map(|(a, b)| quarter(a[0], a[1], b[0], b[1])));
+                let pairs = above.chunks_exact(2).zip(below.chunks_exact(2));
+                for (mean, (a, b)) in out.iter_mut().zip(pairs) {
+                    *mean = quarter(a[0], a[1], b[0], b[1]);
+                }
             }
         }
     }
@@ -252,11 +256,13 @@ impl Level {
             let out = &mut self.orientations[(y + MARGIN) * stride + MARGIN + 1..];
             self.gradients.orientations(least * least, out);
         }
+        // Three cells in a row, then three such rows.
         let o = &self.orientations;
-        let inner = stride + 1..cells - stride - 1;
-        for (i, out) in inner.clone().zip(&mut self.spread[inner]) {
-            let row = |j: usize| o[j - 1] | o[j] | o[j + 1];
-            *out = row(i - stride) | row(i) | row(i + stride);
+        self.rows.clear();
+        self.rows.extend(o.iter().zip(&o[1..]).zip(&o[2..]).map(|((a, b), c)| a | b | c));
+        let rows = self.rows.iter().zip(&self.rows[stride..]).zip(&self.rows[2 * stride..]);
+        for (out, ((above, here), below)) in self.spread[stride + 1..].iter_mut().zip(rows) {
+            *out = above | here | below;
         }
         self.responses.clear();
         for bin in 0..BINS {
