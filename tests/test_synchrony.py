@@ -59,6 +59,50 @@ def test_clocks_that_agree_to_a_fraction_of_a_frame_have_no_lag(frames, seed):
     assert lag_between(*tips(frames * STEP_S, noise_px=1.0, rng=seed)) is None
 
 
+class Dwells:
+    """A tip that rests at random places and moves between them with minimum jerk."""
+
+    def __init__(self, rng):
+        self.places = rng.uniform((80, 60, 50), (320, 300, 130), (12, 3))
+        rests_s, moves_s = rng.uniform(0.6, 2.5, 12), rng.uniform(0.4, 0.8, 12)
+        self.ends_s = np.cumsum(rests_s + moves_s)
+        self.moves_s = moves_s
+
+    def __call__(self, time_s):
+        k = min(int(np.searchsorted(self.ends_s, time_s)), len(self.places) - 2)
+        part = np.clip(1.0 - (self.ends_s[k] - time_s) / self.moves_s[k], 0.0, 1.0)
+        way = part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+        return (1.0 - way) * self.places[k] + way * self.places[k + 1]
+
+
+def lags_while(seed, lag_s):
+    """All lags that are found every half second, of contours whose tips are biased by place."""
+    rng = np.random.default_rng(seed)
+    first, other = tips(lag_s, span_s=0.0)
+    motion, found = Dwells(rng), []
+    biases = [(rng.normal(0, 2.0, 2), rng.normal(0, 1 / 60, (2, 2))) for _ in CAMERAS]
+    for k, time_s in enumerate(np.arange(3.0, 23.0, STEP_S)):
+        for seen, camera, late_s, (offset_px, slope) in zip(
+            (first, other), CAMERAS, (0.0, lag_s), biases, strict=True
+        ):
+            tip_px = camera.project(motion(time_s - late_s))
+            tip_px = tip_px + offset_px + slope @ (tip_px - 300.0) + rng.normal(0, 0.4, 2)
+            first_from_camera = CAMERAS[0].image_from_plane @ np.linalg.inv(camera.image_from_plane)
+            seen.add(time_s, first_from_camera @ [*tip_px, 1.0])
+        if k % 15 == 14:
+            found.append(lag_between(first, other))
+    return [lag.lag_s for lag in found if lag is not None]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_hand_that_rests_often_shows_a_lag_by_its_moves(seed):
+    # While a tip rests, its contours' biases are all that differ, and any lag may fit them better.
+    assert lags_while(seed, 0.0) == []
+    lags_s = lags_while(seed, 0.2)
+    assert len(lags_s) >= 3
+    assert np.median(lags_s) == pytest.approx(0.2, abs=0.5 * STEP_S)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_a_still_tip_gives_no_lag(seed):
     still = tips(0.5, motion=lambda _: np.array([200.0, 150.0, 60.0]), rng=seed)

@@ -13,10 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.consistency.synchrony import LEAST_PAIRS, LEAST_SPREAD_PX, fit_epipole
+from fingerpost.consistency.synchrony import LEAST_PAIRS, fit_epipole
 from fingerpost.errors import InvalidInputError
 
 Array = NDArray[np.float64]
+
+LEAST_SPREAD_PX = 5.0
+"""Least median distance of a moving tip from its median position: for a static one any lag fits."""
 
 MOST_LAG_S = 30.0
 """Greatest lag: recordings started further apart are to be aligned to this first."""

@@ -26,10 +26,10 @@ MOST_TIPS = 256
 """Duration and greatest number of the tips that are compared."""
 
 LEAST_PAIRS = 24
-"""Least number of pairs of tips: fewer fit an epipole by chance."""
+"""Least number of pairs of moving tips: fewer fit an epipole by chance."""
 
-LEAST_SPREAD_PX = 5.0
-"""Least median distance of a moving tip from its median position: for a static one any lag fits."""
+LEAST_RANGE_PX = 10.0
+"""Least range of a moving tip's positions: for a static one any lag fits."""
 
 LEAST_SHARE = 0.6
 """Least ratio of the number of pairs at a lag to that without: fewer are of another motion."""
@@ -106,7 +106,7 @@ class Tips:
     def has_moved(self) -> bool:
         """Whether its positions are well apart, by a fast test."""
         places = self._rows[: len(self), 1:3]
-        return bool((places.max(axis=0) - places.min(axis=0)).max() > 2.0 * LEAST_SPREAD_PX)
+        return bool((places.max(axis=0) - places.min(axis=0)).max() > LEAST_RANGE_PX)
 
     def latest(self) -> tuple[Array, Array]:
         """Return the times (M,) [s] and points (M, 3) of the last `KEPT_S`, the oldest first."""
@@ -136,7 +136,11 @@ def lag_between(first: Tips, other: Tips) -> Lag | None:
         return None
     none = int(SPAN_S / step_s)
     lags_s = step_s * np.arange(-none, none + 1)
-    if _spread_px(points) < LEAST_SPREAD_PX:
+    # A tip that moves by less than its error within the shortest lag fits any lag: its pairs would
+    # compare biases of the contours alone.
+    moves = _speed(times_s, points[:, :2]) * step_s >= BETTER_PX / SHORTEST_LAG
+    times_s, points = times_s[moves], points[moves]
+    if len(times_s) < LEAST_PAIRS:
         return None
     here_px, _ = _distances_px(times_s[None], points, other_s, there, step_s)
     without_px = float(here_px[0])
@@ -157,9 +161,11 @@ def lag_between(first: Tips, other: Tips) -> Lag | None:
     return Lag(lag_s, with_px, without_px)
 
 
-def _spread_px(points: Array) -> float:
-    """Median distance of a tip from the middle of its places [px]."""
-    return float(np.median(np.hypot(*(points[:, :2] - np.median(points[:, :2], axis=0)).T)))
+def _speed(times_s: Array, places: Array) -> Array:
+    """Return the speed of a tip at every time, from its neighbours in time [px/s]."""
+    way_px = np.convolve(np.linalg.norm(np.diff(places, axis=0), axis=1), (1.0, 1.0))
+    span_s = np.convolve(np.diff(times_s), (1.0, 1.0))
+    return np.asarray(way_px / np.maximum(span_s, np.finfo(float).tiny))
 
 
 def _distances_px(

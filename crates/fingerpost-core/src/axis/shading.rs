@@ -51,12 +51,12 @@ const DARKER_GREY: f64 = 10.0;
 /// Step of the forward differences of the coefficients in every number of a section.
 const DIFFERENCE: f32 = 1e-3;
 
-/// Lanes of a profile: its samples, then one of weight 0.
+/// ProfileLanes of a profile: its samples, then one of weight 0.
 const LANES: usize = PLACES + 1;
 /// Sums over lanes are taken in this many, on every processor.
 const SUMS: usize = 8;
-type Lanes = [f32; LANES];
-type Levels = SMatrix<f64, LEVELS, CHANNELS>;
+type ProfileLanes = [f32; LANES];
+type LevelMatrix = SMatrix<f64, LEVELS, CHANNELS>;
 
 /// A cross-section of the body.
 #[derive(Debug, Clone, Copy)]
@@ -76,7 +76,7 @@ const NUMBERS: usize = 4;
 /// Normal matrix and gradient of a profile's cost in the numbers of a section: its middle,
 /// half-width, light and blur.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct NormalEquations {
+pub(super) struct SectionEquations {
     pub matrix: [[f64; NUMBERS]; NUMBERS],
     pub gradient: [f64; NUMBERS],
 }
@@ -84,8 +84,8 @@ pub(super) struct NormalEquations {
 /// The levels across a finger at one place along it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ShadingProfile {
-    /// Levels of each channel, times the weights of the samples.
-    weighted: [Lanes; CHANNELS],
+    /// LevelMatrix of each channel, times the weights of the samples.
+    weighted: [ProfileLanes; CHANNELS],
     channels: usize,
     unit_px: f64,
 }
@@ -94,13 +94,13 @@ pub(super) struct ShadingProfile {
 #[derive(Debug, Clone)]
 pub(super) struct SectionFit {
     /// Coefficients of each level at every sample, times its weight.
-    coefficients: [Lanes; LEVELS],
+    coefficients: [ProfileLanes; LEVELS],
     /// Factor of the levels' normal matrix; `None` before the first fit.
     factor: Option<Cholesky<f64, Const<LEVELS>>>,
-    levels: Levels,
+    levels: LevelMatrix,
     /// Residuals of the samples, and of the two levels that may not be negative, in units of
     /// [`SCALE_GREY`] and [`DARKER_GREY`].
-    residuals: [Lanes; CHANNELS],
+    residuals: [ProfileLanes; CHANNELS],
     negative: [[f64; 2]; CHANNELS],
     /// Sum of the robust costs √(1 + r²) − 1 of all residuals.
     pub cost: f64,
@@ -112,7 +112,7 @@ impl SectionFit {
         Self {
             coefficients: [[0.0; LANES]; LEVELS],
             factor: None,
-            levels: Levels::zeros(),
+            levels: LevelMatrix::zeros(),
             residuals: [[0.0; LANES]; CHANNELS],
             negative: [[0.0; 2]; CHANNELS],
             cost: 0.0,
@@ -149,8 +149,8 @@ impl ShadingProfile {
     }
 
     /// The normal equations at a section, given its fit.
-    pub fn normal_equations(&self, section: &Section, fit: &SectionFit) -> NormalEquations {
-        let mut equations = NormalEquations::default();
+    pub fn normal_equations(&self, section: &Section, fit: &SectionFit) -> SectionEquations {
+        let mut equations = SectionEquations::default();
         Isa::detect().run(Linearise { profile: self, section, fit, equations: &mut equations });
         equations
     }
@@ -200,7 +200,7 @@ impl Work for FitSection<'_> {
             }
             normal[(a, a)] += RIDGE[a];
         }
-        let mut right = Levels::zeros();
+        let mut right = LevelMatrix::zeros();
         for k in 0..profile.channels {
             for a in 0..LEVELS {
                 right[(a, k)] = dot(&fit.coefficients[a], &profile.weighted[k]);
@@ -208,14 +208,15 @@ impl Work for FitSection<'_> {
         }
         // The ridge keeps it positive definite for every section.
         fit.factor = Cholesky::new(normal);
-        fit.levels = fit.factor.as_ref().map_or_else(Levels::zeros, |factor| factor.solve(&right));
+        fit.levels =
+            fit.factor.as_ref().map_or_else(LevelMatrix::zeros, |factor| factor.solve(&right));
         fit.cost = 0.0;
         for k in 0..profile.channels {
             let estimated = combined(&fit.coefficients, &fit.levels, k);
             let residual =
                 |i: usize| (estimated[i] - profile.weighted[k][i]) * (1.0 / SCALE_GREY as f32);
             fit.residuals[k] = each(residual);
-            let robust: Lanes = each(|i| {
+            let robust: ProfileLanes = each(|i| {
                 let square = fit.residuals[k][i] * fit.residuals[k][i];
                 square / (1.0 + (1.0 + square).sqrt())
             });
@@ -233,7 +234,7 @@ struct Linearise<'a> {
     profile: &'a ShadingProfile,
     section: &'a Section,
     fit: &'a SectionFit,
-    equations: &'a mut NormalEquations,
+    equations: &'a mut SectionEquations,
 }
 
 impl Work for Linearise<'_> {
@@ -249,14 +250,14 @@ impl Work for Linearise<'_> {
             Section { log_blur: section.log_blur + step, ..*section },
         ];
         let mut changes = [[[0.0; LANES]; CHANNELS]; NUMBERS];
-        let mut level_changes = [Levels::zeros(); NUMBERS];
+        let mut level_changes = [LevelMatrix::zeros(); NUMBERS];
         for (n, perturbed) in perturbed.iter().enumerate() {
             let moved = level_coefficients(perturbed, profile.unit_px);
-            let slopes: [Lanes; LEVELS] =
+            let slopes: [ProfileLanes; LEVELS] =
                 each(|a| each(|i| (moved[a][i] - by[a][i]) * (1.0 / DIFFERENCE)));
             // With coefficients A and residuals r = A l − y of the best levels l = N⁻¹ Aᵀ y:
             // l' = −N⁻¹ (A'ᵀ r + Aᵀ A' l) and r' = A' l + A l'.
-            let mut right = Levels::zeros();
+            let mut right = LevelMatrix::zeros();
             for k in 0..profile.channels {
                 let direct = combined(&slopes, &fit.levels, k);
                 for a in 0..LEVELS {
@@ -275,9 +276,9 @@ impl Work for Linearise<'_> {
         }
         for k in 0..profile.channels {
             let residuals = &fit.residuals[k];
-            let weights: Lanes = each(|i| 1.0 / (1.0 + residuals[i] * residuals[i]).sqrt());
+            let weights: ProfileLanes = each(|i| 1.0 / (1.0 + residuals[i] * residuals[i]).sqrt());
             for a in 0..NUMBERS {
-                let weighed: Lanes = each(|i| weights[i] * changes[a][k][i]);
+                let weighed: ProfileLanes = each(|i| weights[i] * changes[a][k][i]);
                 equations.gradient[a] += dot(&weighed, residuals);
                 for (b, change) in changes.iter().enumerate() {
                     equations.matrix[a][b] += dot(&weighed, &change[k]);
@@ -303,15 +304,15 @@ impl Work for Linearise<'_> {
 
 /// Coefficients of each level at every sample of a section, times the sample's weight.
 #[inline(always)]
-fn level_coefficients(section: &Section, unit_px: f64) -> [Lanes; LEVELS] {
+fn level_coefficients(section: &Section, unit_px: f64) -> [ProfileLanes; LEVELS] {
     let per_blur = (unit_px / section.log_blur.exp()) as f32;
     let (sin, cos) = section.light_rad.sin_cos();
     let (sin, cos) = (sin as f32, cos as f32);
     let (middle, half_width) = (section.middle as f32, section.half_width as f32);
     let per_width = 1.0 / half_width;
     let mut coefficients = [[0.0; LANES]; LEVELS];
-    let lateral: Lanes = each(|i| place(i) - middle);
-    let weights: Lanes = each(weight);
+    let lateral: ProfileLanes = each(|i| place(i) - middle);
+    let weights: ProfileLanes = each(weight);
     for i in 0..LANES {
         let (q, weight) = (lateral[i], weights[i]);
         let left = weight * (1.0 - step((q + half_width) * per_blur));
@@ -349,7 +350,11 @@ fn step(x: f32) -> f32 {
 
 /// The levels at every sample of one channel, times its weight.
 #[inline(always)]
-fn combined(coefficients: &[Lanes; LEVELS], levels: &Levels, channel: usize) -> Lanes {
+fn combined(
+    coefficients: &[ProfileLanes; LEVELS],
+    levels: &LevelMatrix,
+    channel: usize,
+) -> ProfileLanes {
     let mut lanes = [0.0; LANES];
     for (by, level) in coefficients.iter().zip(levels.column(channel).iter()) {
         let level = *level as f32;
@@ -362,7 +367,7 @@ fn combined(coefficients: &[Lanes; LEVELS], levels: &Levels, channel: usize) -> 
 
 /// The sum of the products of all lanes.
 #[inline(always)]
-fn dot(one: &Lanes, other: &Lanes) -> f64 {
+fn dot(one: &ProfileLanes, other: &ProfileLanes) -> f64 {
     let mut sums = [0.0; SUMS];
     for (some, others) in one.chunks_exact(SUMS).zip(other.chunks_exact(SUMS)) {
         for ((sum, a), b) in sums.iter_mut().zip(some).zip(others) {
@@ -374,7 +379,7 @@ fn dot(one: &Lanes, other: &Lanes) -> f64 {
 
 /// The sum of all lanes.
 #[inline(always)]
-fn sum(lanes: &Lanes) -> f64 {
+fn sum(lanes: &ProfileLanes) -> f64 {
     let mut sums = [0.0; SUMS];
     for some in lanes.chunks_exact(SUMS) {
         for (sum, lane) in sums.iter_mut().zip(some) {
