@@ -349,14 +349,18 @@ impl DiscriminantImage {
         ];
         let made = self.made.filter(|(by, _)| by == mixture).map(|(_, made)| made);
         if !made.is_some_and(|m| covers(&m, &requested)) {
-            let [x0, x1, y0, y1] = made.map_or(requested, |m| hull(&m, &requested));
+            let needed = made.map_or(requested, |m| hull(&m, &requested));
+            let [x0, x1, y0, y1] = needed;
             for y in y0..y1 {
-                let row = self.pixels.get_mut(y * width..).and_then(|r| r.get_mut(x0..x1));
-                if let (Some(row), Some(colours)) = (row, colour.row(y)) {
-                    mixture.mix(&colours[3 * x0..], row);
+                let known = made.filter(|m| (m[2]..m[3]).contains(&y));
+                let missing = known.map_or([x0..x1, x1..x1], |m| [x0..m[0], m[1]..x1]);
+                let pixels = self.pixels.get_mut(y * width..(y + 1) * width);
+                let (Some(pixels), Some(colours)) = (pixels, colour.row(y)) else { continue };
+                for columns in missing {
+                    mixture.mix(&colours[3 * columns.start..], &mut pixels[columns]);
                 }
             }
-            self.made = Some((*mixture, [x0, x1, y0, y1]));
+            self.made = Some((*mixture, needed));
         }
         Frame::coloured(GrayView::new(&self.pixels, width, height, width)?, *colour)
     }

@@ -57,6 +57,7 @@ const LANES: usize = PLACES + 1;
 const SUMS: usize = 8;
 type ProfileLanes = [f32; LANES];
 type LevelMatrix = SMatrix<f64, LEVELS, CHANNELS>;
+type LevelFactor = Cholesky<f64, Const<LEVELS>>;
 
 /// A cross-section of the body.
 #[derive(Debug, Clone, Copy)]
@@ -96,7 +97,7 @@ pub(super) struct SectionFit {
     /// Coefficients of each level at every sample, times its weight.
     coefficients: [ProfileLanes; LEVELS],
     /// Factor of the levels' normal matrix; `None` before the first fit.
-    factor: Option<Cholesky<f64, Const<LEVELS>>>,
+    factor: Option<LevelFactor>,
     levels: LevelMatrix,
     /// Residuals of the samples, and of the two levels that may not be negative, in units of
     /// [`SCALE_GREY`] and [`DARKER_GREY`].
@@ -240,9 +241,9 @@ struct Linearise<'a> {
 impl Work for Linearise<'_> {
     #[inline(always)]
     fn run(self) {
-        let Self { profile, section, fit, equations } = self;
+        let Self { profile, section, fit, .. } = self;
         let Some(factor) = &fit.factor else { return };
-        let (by, step) = (&fit.coefficients, f64::from(DIFFERENCE));
+        let step = f64::from(DIFFERENCE);
         let perturbed = [
             Section { middle: section.middle + step, ..*section },
             Section { half_width: section.half_width + step, ..*section },
@@ -252,51 +253,72 @@ impl Work for Linearise<'_> {
         let mut changes = [[[0.0; LANES]; CHANNELS]; NUMBERS];
         let mut level_changes = [LevelMatrix::zeros(); NUMBERS];
         for (n, perturbed) in perturbed.iter().enumerate() {
-            let moved = level_coefficients(perturbed, profile.unit_px);
-            let slopes: [ProfileLanes; LEVELS] =
-                each(|a| each(|i| (moved[a][i] - by[a][i]) * (1.0 / DIFFERENCE)));
-            // With coefficients A and residuals r = A l − y of the best levels l = N⁻¹ Aᵀ y:
-            // l' = −N⁻¹ (A'ᵀ r + Aᵀ A' l) and r' = A' l + A l'.
-            let mut right = LevelMatrix::zeros();
-            for k in 0..profile.channels {
-                let direct = combined(&slopes, &fit.levels, k);
-                for a in 0..LEVELS {
-                    right[(a, k)] =
-                        -(SCALE_GREY * dot(&slopes[a], &fit.residuals[k]) + dot(&by[a], &direct));
-                }
-                changes[n][k] = direct;
-            }
-            factor.solve_mut(&mut right);
-            for k in 0..profile.channels {
-                let indirect = combined(by, &right, k);
-                changes[n][k] =
-                    each(|i| (changes[n][k][i] + indirect[i]) * (1.0 / SCALE_GREY as f32));
-            }
-            level_changes[n] = right;
+            level_changes[n] = self.differentiate(factor, perturbed, &mut changes[n]);
         }
         for k in 0..profile.channels {
             let residuals = &fit.residuals[k];
             let weights: ProfileLanes = each(|i| 1.0 / (1.0 + residuals[i] * residuals[i]).sqrt());
-            for a in 0..NUMBERS {
-                let weighed: ProfileLanes = each(|i| weights[i] * changes[a][k][i]);
-                equations.gradient[a] += dot(&weighed, residuals);
-                for (b, change) in changes.iter().enumerate() {
-                    equations.matrix[a][b] += dot(&weighed, &change[k]);
+            for (a, change) in changes.iter().enumerate() {
+                let weighed: ProfileLanes = each(|i| weights[i] * change[k][i]);
+                self.equations.gradient[a] += dot(&weighed, residuals);
+                for (b, other) in changes.iter().enumerate() {
+                    self.equations.matrix[a][b] += dot(&weighed, &other[k]);
                 }
             }
             for (n, level) in [EVERYWHERE, ONE_SIDE].into_iter().enumerate() {
-                let residual = fit.negative[k][n];
-                if residual == 0.0 {
-                    continue;
-                }
-                let weight = 1.0 / (1.0 + residual * residual).sqrt();
                 let change = level_changes.each_ref().map(|l| l[(level, k)] / DARKER_GREY);
-                for a in 0..NUMBERS {
-                    equations.gradient[a] += weight * change[a] * residual;
-                    for b in 0..NUMBERS {
-                        equations.matrix[a][b] += weight * change[a] * change[b];
-                    }
-                }
+                self.equations.add_penalty(fit.negative[k][n], change);
+            }
+        }
+    }
+}
+
+impl Linearise<'_> {
+    /// The change of the best levels with one number of the section, and, written to `changes`,
+    /// those of the residuals of every channel. With coefficients A and residuals r = A l − y of
+    /// the levels l = N⁻¹ Aᵀ y: l' = −N⁻¹ (A'ᵀ r + Aᵀ A' l) and r' = A' l + A l'.
+    #[inline(always)]
+    fn differentiate(
+        &self,
+        factor: &LevelFactor,
+        perturbed: &Section,
+        changes: &mut [ProfileLanes; CHANNELS],
+    ) -> LevelMatrix {
+        let (fit, by) = (self.fit, &self.fit.coefficients);
+        let moved = level_coefficients(perturbed, self.profile.unit_px);
+        let slopes: [ProfileLanes; LEVELS] =
+            each(|a| each(|i| (moved[a][i] - by[a][i]) * (1.0 / DIFFERENCE)));
+        let mut level_changes = LevelMatrix::zeros();
+        let channels = changes.iter_mut().enumerate().take(self.profile.channels);
+        for (k, change) in channels {
+            *change = combined(&slopes, &fit.levels, k);
+            for a in 0..LEVELS {
+                let residual = SCALE_GREY * dot(&slopes[a], &fit.residuals[k]);
+                level_changes[(a, k)] = -(residual + dot(&by[a], change));
+            }
+        }
+        factor.solve_mut(&mut level_changes);
+        let channels = changes.iter_mut().enumerate().take(self.profile.channels);
+        for (k, change) in channels {
+            let indirect = combined(by, &level_changes, k);
+            *change = each(|i| (change[i] + indirect[i]) * (1.0 / SCALE_GREY as f32));
+        }
+        level_changes
+    }
+}
+
+impl SectionEquations {
+    /// Adds the penalty on one level, by its residual and the change of that.
+    #[inline(always)]
+    fn add_penalty(&mut self, residual: f64, change: [f64; NUMBERS]) {
+        if residual == 0.0 {
+            return;
+        }
+        let weight = 1.0 / (1.0 + residual * residual).sqrt();
+        for a in 0..NUMBERS {
+            self.gradient[a] += weight * change[a] * residual;
+            for b in 0..NUMBERS {
+                self.matrix[a][b] += weight * change[a] * change[b];
             }
         }
     }
