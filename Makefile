@@ -94,9 +94,10 @@ instructions: $(STAMPS)/extension ## count those of fixed workloads against benc
 		--bin instructions
 	$(CARGO_TARGET_DIR)/release/instructions $(if $(RECORD),record)
 
-bench: $(STAMPS)/extension ## speed as ratios to the C limit, a pair from end to end, stages, the simulated rig
+bench: $(STAMPS)/extension ## speed as ratios to the C limit, a pair from end to end, the loop, stages, the simulated rig
 	cargo bench --locked --package fingerpost-benches --bench ratios
 	$(BIN)/python benches/bench_pair.py
+	$(BIN)/python benches/bench_loop.py
 	cargo bench --locked --package fingerpost-benches --bench stages
 	$(BIN)/python benches/bench_simulate.py
 

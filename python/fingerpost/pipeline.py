@@ -23,6 +23,10 @@ from itertools import islice
 from typing import Any, Literal, TypeVar, overload
 
 import numpy as np
+
+# NumPy would load them when it first needs them, within a frame.
+import numpy.ma
+import numpy.random
 from numpy.typing import NDArray
 
 from fingerpost._core import SearchLines, Track, update_views
