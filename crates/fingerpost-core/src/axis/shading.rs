@@ -51,7 +51,7 @@ const DARKER_GREY: f64 = 10.0;
 /// Step of the forward differences of the coefficients in every number of a section.
 const DIFFERENCE: f32 = 1e-3;
 
-/// ProfileLanes of a profile: its samples, then one of weight 0.
+/// Lanes of a profile: its samples, then one of weight 0.
 const LANES: usize = PLACES + 1;
 /// Sums over lanes are taken in this many, on every processor.
 const SUMS: usize = 8;
@@ -85,7 +85,7 @@ pub(super) struct SectionEquations {
 /// The levels across a finger at one place along it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ShadingProfile {
-    /// LevelMatrix of each channel, times the weights of the samples.
+    /// Levels of each channel, times the weights of the samples.
     weighted: [ProfileLanes; CHANNELS],
     channels: usize,
     unit_px: f64,
