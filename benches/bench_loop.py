@@ -92,7 +92,7 @@ def nobody(size_px: tuple[int, int], count: int, *, moves: bool) -> tuple[Rig, l
     """Return views of a table at which nobody is; a box may move over it."""
     cell = SimulatedRig(background=Background(texture="wood"), sensor=Sensor(channels="bgr"))
     tables = list(cell.render(None, rng=0).images)
-    width, height = tables[0].shape[1], tables[0].shape[0]
+    width = tables[0].shape[1]
     tables = [cv2.resize(table, size_px, interpolation=cv2.INTER_CUBIC) for table in tables]
     rng = np.random.default_rng(0)
     noise = rng.normal(0.0, 2.0, (4, size_px[1], size_px[0], 3)).astype(np.float32)
@@ -105,8 +105,7 @@ def nobody(size_px: tuple[int, int], count: int, *, moves: bool) -> tuple[Rig, l
             shown[size_px[1] // 2 :][:box, u : u + box] = 230.0
         return np.clip(shown, 0, 255).astype(np.uint8)
 
-    rig = rig_from_simulation(cell)
-    rig, _ = scaled(rig, [], size_px[0] / width) if size_px != (width, height) else (rig, [])
+    rig, _ = scaled(rig_from_simulation(cell), [], size_px[0] / width)
     return rig, [[Frame(k, k / FPS, image(k, view)) for view in range(2)] for k in range(count)]
 
 
@@ -116,6 +115,8 @@ def main() -> None:
     parser.add_argument("rigs", nargs="*", type=Path, default=[CLIP], metavar="RIG.TOML")
     parser.add_argument("--frames", type=int, default=90)
     given = parser.parse_args()
+    if given.frames <= SETTLED_FRAMES:
+        parser.error(f"--frames is {given.frames}; more than {SETTLED_FRAMES} are right")
     cv2.setNumThreads(1)
     print("| work | median | 99 % | maximum | points |\n|---|---|---|---|---|")
     footage = [(path.parent.name, Rig.load(path)) for path in given.rigs]

@@ -389,19 +389,19 @@ def test_a_template_fitted_at_another_place_degrades_the_papers_model_only():
     # A planar template fitted at the start pose does not fit where the hand points: section 3.3 of
     # the paper has an error of 3.7 % of the plane.
     rms = {}
-    here = [Bench(ExperimentOptions()).trial(k).target for k in (0, 6)]
+    here = [Bench(ExperimentOptions()).trial(k).target for k in (0, 9)]
     for tracker in ("paper", "ribbon"):
-        for away in (0, 20):
+        for away in (0, 30):
             bench = Bench(
-                ExperimentOptions(tracker={"model": tracker}, approach_frames=away, frames=6)
+                ExperimentOptions(tracker={"model": tracker}, approach_frames=away, frames=12)
             )
-            trials = [bench.trial(index) for index in range(7)]
-            np.testing.assert_array_equal([trials[0].target, trials[6].target], here)
+            trials = [bench.trial(index) for index in range(10)]
+            np.testing.assert_array_equal([trials[0].target, trials[9].target], here)
             errors = [trial.error for trial in trials if trial.status is Status.OK]
-            assert len(errors) >= 6
+            assert len(errors) >= 9
             rms[tracker, away] = np.sqrt(np.mean(np.square(errors)))
-    assert rms["paper", 20] > 2.0 * rms["paper", 0]
-    assert rms["ribbon", 20] < 1.5 * rms["ribbon", 0]
+    assert rms["paper", 30] > 2.0 * rms["paper", 0]
+    assert rms["ribbon", 30] < 1.5 * rms["ribbon", 0]
 
 
 def test_trackers_start_at_the_first_pose_of_the_device():

@@ -104,9 +104,12 @@ def test_a_hand_that_rests_often_shows_a_lag_by_its_moves(seed):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_still_tip_gives_no_lag(seed):
-    still = tips(0.5, motion=lambda _: np.array([200.0, 150.0, 60.0]), rng=seed)
-    assert lag_between(*still) is None
+@pytest.mark.parametrize("speed_mm_s", [0.0, 4.0])
+def test_a_tip_that_hardly_moves_gives_no_lag(speed_mm_s, seed):
+    def motion(time_s):
+        return np.array([200.0 + speed_mm_s * time_s, 180.0, 80.0])
+
+    assert lag_between(*tips(0.0, noise_px=1.0, span_s=6.0, motion=motion, rng=seed)) is None
 
 
 def test_a_tip_that_moves_along_the_base_line_gives_no_lag():

@@ -28,9 +28,6 @@ MOST_TIPS = 256
 LEAST_PAIRS = 24
 """Least number of pairs of moving tips: fewer fit an epipole by chance."""
 
-LEAST_RANGE_PX = 10.0
-"""Least range of a moving tip's positions: for a static one any lag fits."""
-
 LEAST_SHARE = 0.6
 """Least ratio of the number of pairs at a lag to that without: fewer are of another motion."""
 
@@ -43,6 +40,7 @@ BETTER_PX = 0.7
 error of a contour's tip."""
 
 _REFITS = 3
+_SPEED_FRAMES = 6  # over which noise is no motion
 
 
 @dataclass(frozen=True)
@@ -102,12 +100,6 @@ class Tips:
         row[0], row[1:] = time_s, point
         self._count += 1
 
-    @property
-    def has_moved(self) -> bool:
-        """Whether its positions are well apart, by a fast test."""
-        places = self._rows[: len(self), 1:3]
-        return bool((places.max(axis=0) - places.min(axis=0)).max() > LEAST_RANGE_PX)
-
     def latest(self) -> tuple[Array, Array]:
         """Return the times (M,) [s] and points (M, 3) of the last `KEPT_S`, the oldest first."""
         first = self._count % MOST_TIPS if self._count > MOST_TIPS else 0
@@ -126,7 +118,7 @@ def lag_between(first: Tips, other: Tips) -> Lag | None:
     first, other
         The tip in both.
     """
-    if min(len(first), len(other)) < LEAST_PAIRS or not first.has_moved:
+    if min(len(first), len(other)) < LEAST_PAIRS:
         return None
     (times_s, points), (other_s, there) = first.latest(), other.latest()
     if min(len(times_s), len(other_s)) < LEAST_PAIRS:
@@ -162,10 +154,12 @@ def lag_between(first: Tips, other: Tips) -> Lag | None:
 
 
 def _speed(times_s: Array, places: Array) -> Array:
-    """Return the speed of a tip at every time, from its neighbours in time [px/s]."""
-    way_px = np.convolve(np.linalg.norm(np.diff(places, axis=0), axis=1), (1.0, 1.0))
-    span_s = np.convolve(np.diff(times_s), (1.0, 1.0))
-    return np.asarray(way_px / np.maximum(span_s, np.finfo(float).tiny))
+    """Return the speed of a tip at every time [px/s], by its displacement over `_SPEED_FRAMES`."""
+    here, half = np.arange(len(times_s)), _SPEED_FRAMES // 2
+    before, after = np.maximum(here - half, 0), np.minimum(here + half, len(here) - 1)
+    moved_px = np.linalg.norm(places[after] - places[before], axis=1)
+    span_s = np.maximum(times_s[after] - times_s[before], np.finfo(float).tiny)
+    return np.asarray(moved_px / span_s)
 
 
 def _distances_px(
