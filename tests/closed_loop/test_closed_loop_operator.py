@@ -13,12 +13,12 @@ TARGET = np.array([450.0, 60.0])
 STEP_S = 0.05
 
 
-def run(operator, seconds, gripper, *, from_s=0.0):
+def run(operator, seconds, gripper, *, from_s=0.0, is_there=True):
     """Simulate; `gripper` maps the indicated place to the gripper's. Return the latter."""
     places = []
     for time_s in np.arange(from_s, from_s + seconds, STEP_S):
         place = gripper(operator.indicated_mm(time_s))
-        operator.see(place, time_s)
+        operator.see(place, time_s, is_there=is_there)
         places.append(place)
     return np.array(places)
 
@@ -48,6 +48,17 @@ def test_the_operator_corrects_errors_of_the_machine():
     wrong = run(operator, 20.0, lambda place: 1.1 * place - [30.0, 5.0])[-1]
     assert np.linalg.norm(wrong - TARGET) <= Habits.exact().content_mm
     assert operator.corrections >= 1
+
+
+def test_an_arm_that_holds_is_not_corrected():
+    # Corrections without an effect would add up, and the hand would leave the views.
+    operator = Operator(Habits(), START, np.random.default_rng(0))
+    operator.mean(TARGET, 0.0)
+    operator.corrects = True
+    run(operator, 20.0, lambda _: np.array(START), is_there=False)
+    assert operator.corrections == 0
+    last = run(operator, 25.0, lambda place: place, from_s=20.0)[-1]
+    assert np.linalg.norm(last - TARGET) < 10.0
 
 
 @pytest.mark.parametrize("seed", range(30))

@@ -23,7 +23,7 @@ from fingerpost.closed_loop.world import World
 from fingerpost.config import Rig
 from fingerpost.guidance import Activity, Attendance, Session, Turns, guard_of, robot_of
 from fingerpost.pipeline import Pointer, Step
-from fingerpost.pointing import Fix, PlaneView, Status
+from fingerpost.pointing import Fix, PlaneView
 from fingerpost.robot import (
     DwellSelector,
     Follower,
@@ -247,8 +247,8 @@ class ClosedLoop:
         Cameras and hand.
     report
         Last report of the follower; None while it is inactive.
-    seen_s
-        Time of the last fix of the operator's hand [s].
+    usable_s
+        Time of the last fix that permits motion [s].
     """
 
     def __init__(
@@ -287,7 +287,7 @@ class ClosedLoop:
         self._pointer = Pointer(rig, moving=self.guard.body)
         self.views = CellViews(world, self._pointer, operator, aim)
         self.report: FollowReport | None = None
-        self.seen_s = world.time_s
+        self.usable_s = world.time_s
         self.on_moment = on_moment
         self._world = world
         self._operator = operator
@@ -350,14 +350,15 @@ class ClosedLoop:
             for step in steps:
                 self.session.take(step)
                 fix = self.guard.newest_fix
-                if fix is not None and fix.status is Status.OK:
-                    self.seen_s = time_s
+                if fix is not None and not self.guard.doubt(fix):
+                    self.usable_s = time_s
                 doing = person.doing
                 if self.session.is_carrying:
                     doing = self._said.removesuffix(" ...")
                 self._record(step, pose, time_s, doing)
         self.guard.check()
-        self._operator.see(self._world.cell.gripper_mm[:2], time_s)
+        # Only an arm that stands where the system believes the hand to point shows an error of it.
+        self._operator.see(self._world.cell.gripper_mm[:2], time_s, is_there=self.is_there)
 
     def _record(self, step: Step, pose: DevicePose | None, time_s: float, doing: str) -> None:
         cell = self._world.cell

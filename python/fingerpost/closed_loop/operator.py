@@ -179,14 +179,26 @@ class Operator:
         """Whether the hand is moving."""
         return time_s < self._movement.end_s
 
-    def see(self, gripper_mm: Array, time_s: float) -> None:
-        """Observe the gripper's position (2,) [mm], and react to earlier observations."""
+    def see(self, gripper_mm: Array, time_s: float, *, is_there: bool) -> None:
+        """Observe the gripper, and react to earlier observations.
+
+        Parameters
+        ----------
+        gripper_mm : (2,)
+            Its position [mm].
+        time_s
+            Time [s].
+        is_there
+            Whether the arm stands at the indicated point. The operator sees whether it follows: an
+            arm that holds is not corrected, or the corrections would add up until it follows again.
+        """
         self._seen.append((time_s, np.array(gripper_mm, dtype=np.float64)))
         habits = self._habits
         looked_s = time_s - habits.seeing_s
         while len(self._seen) > 1 and self._seen[1][0] <= looked_s - habits.patience_s:
             self._seen.popleft()
-        if not self.corrects or self._target_mm is None or self.is_moving(time_s):
+        waits = not is_there or self.is_moving(time_s)
+        if not self.corrects or self._target_mm is None or waits:
             return
         if looked_s - habits.patience_s < max(self._seen[0][0], self._movement.end_s):
             return  # the gripper has not had enough time

@@ -213,7 +213,7 @@ class Task(Scripted):
 
     @property
     def _is_lost(self) -> bool:
-        return self._world.time_s - self._loop.seen_s > HIDDEN_S
+        return self._world.time_s - self._loop.usable_s > HIDDEN_S
 
     def _find_again(self) -> Script:
         """Let the arm retreat and the hand wait at its start pose, then point as before."""

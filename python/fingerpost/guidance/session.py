@@ -223,7 +223,7 @@ class Session:
         self._last: FollowReport | None = None
         self._making_way = False
         self._is_out_of_the_way = False
-        self._seen_s: float | None = None
+        self._usable_s: float | None = None
         self._hand: int | None = None
         self._reported_hand: int | None = None
         self._sees_stranger = False
@@ -564,12 +564,15 @@ class Session:
             self._worker.offer(self._make_way)
 
     def _report_hidden_hand(self, fix: Fix) -> None:
-        """Report once that a hand without a fix for a long time may be hidden."""
-        if fix.status is Status.OK:
-            self._seen_s = fix.time_s
-        elif self._keys and self._seen_s is not None and fix.time_s - self._seen_s > HIDDEN_S:
-            self._seen_s = None
-            self._say(f"no fix for {HIDDEN_S:g} s: hold {AWAY_KEY} down to have the arm make way")
+        """Report once that a hand without a usable fix for a long time may be hidden."""
+        if not self._guard.doubt(fix):
+            self._usable_s = fix.time_s
+        elif self._keys and self._usable_s is not None and fix.time_s - self._usable_s > HIDDEN_S:
+            self._usable_s = None
+            self._say(
+                f"no usable fix for {HIDDEN_S:g} s: if the arm hides the hand, "
+                f"hold {AWAY_KEY} down to have it make way"
+            )
 
     def _wait_for_arming(self) -> None:
         self._last = None

@@ -269,10 +269,14 @@ class Guard:
         RefusedError
             It does not; the message says why.
         """
-        doubt = self._gate.doubt(fix, self.options)
+        doubt = self.doubt(fix)
         if doubt or fix.point is None:
             raise RefusedError(doubt)
         return fix.point
+
+    def doubt(self, fix: Fix) -> str:
+        """Return why a fix does not permit motion; empty if it does."""
+        return self._gate.doubt(fix, self.options)
 
     def semi_axis_m(self, fix: Fix) -> float:
         """Return the larger semi-axis of a fix's ellipse on the robot's plane [m].
