@@ -32,7 +32,13 @@ if TYPE_CHECKING:
 @click.option("--simulate", is_flag=True, help="Play the simulated rig instead of the clip.")
 @click.option("--robot", is_flag=True, help="Have a robot go there, in a simulated world.")
 @click.option("--live", is_flag=True, help="Show the clip in a browser; nothing is written.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the simulation.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of the simulation, with --simulate or --robot.",
+)
 @click.option("--max-frames", metavar="N", type=click.IntRange(min=1), help="Stop after N frames.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.pass_context
@@ -60,6 +66,8 @@ def demo(
         _refuse_others(context)
         _show_cell(seed) if robot else _show_clip()
         return
+    if not (simulate or robot) and _is_given(context, "seed"):
+        raise click.UsageError("the clip has no --seed; --simulate and --robot have one")
     summary: DemoSummary | RobotDemoSummary
     failed = False
     if robot:
@@ -88,13 +96,16 @@ def demo(
         sys.exit(1)
 
 
+def _is_given(context: click.Context, name: str) -> bool:
+    return context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+
+
 def _refuse_others(context: click.Context) -> None:
     """Refuse options that have no effect with --live."""
     allowed = {"live", "robot", "seed"} if context.params["robot"] else {"live"}
     for parameter in context.command.get_params(context):
         name = parameter.name or ""
-        given = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
-        if given and name not in allowed:
+        if _is_given(context, name) and name not in allowed:
             raise click.UsageError(f"--live and {parameter.opts[-1]} do not go together")
 
 
@@ -111,8 +122,6 @@ def _show_clip() -> None:
 
 
 def _show_cell(seed: int) -> None:
-    if seed < 0:
-        raise click.UsageError(f"--seed is {seed}; 0 or more is right")
     with ending_at_once():
         need_opencv()
         from fingerpost.live import Page
