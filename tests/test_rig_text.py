@@ -242,6 +242,11 @@ def test_other_encodings_are_refused_by_their_names(encoding):
     assert "save it again with the encoding UTF-8" in str(raised.value)
 
 
+def test_a_video_is_no_rig_file():
+    with pytest.raises(InvalidInputError, match="as videos, pictures .* name a rig file"):
+        parsed(bytes.fromhex("00000020 66747970 69736f6d"))  # the first bytes of an MP4 file
+
+
 def test_a_byte_of_another_encoding_is_named_with_its_line():
     with pytest.raises(InvalidInputError, match="byte 0xfc in line 18 "):
         parsed(RIG.replace("right", "rücken").encode("cp1252"))

@@ -78,6 +78,11 @@ def _decoded(data: bytes) -> str:
             raise InvalidInputError(
                 f"not a text file in UTF-8 but in {encoding}; save it again with the encoding UTF-8"
             )
+    if b"\0" in data:
+        raise InvalidInputError(
+            "not a text file in UTF-8: it holds zeros, as videos, pictures and UTF-16 do; "
+            "name a rig file (TOML), or save it again with the encoding UTF-8"
+        )
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -86,11 +91,6 @@ def _decoded(data: bytes) -> str:
             f"not a text file in UTF-8: byte 0x{data[error.start]:02x} in line {line} "
             f"({error.reason}); save it again with the encoding UTF-8"
         ) from error
-    if "\0" in text:
-        raise InvalidInputError(
-            "not a text file in UTF-8: it holds zeros, as UTF-16 does; "
-            "save it again with the encoding UTF-8"
-        )
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
