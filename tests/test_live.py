@@ -53,10 +53,10 @@ def run():
     return rig, pointer, steps
 
 
-def rig_scene(run, *, is_live=False, frames=None):
+def rig_scene(run, *, is_live=False, frames=None, **fields):
     rig, pointer, _ = run
-    names = rig.sources
-    return RigScene.of("clip", "mm", pointer.plane_views, names, is_live=is_live, frames=frames)
+    fields.update(is_live=is_live, frames=frames)
+    return RigScene.of("clip", "mm", pointer.plane_views, rig.sources, **fields)
 
 
 def moment(run, k=FRAMES - 1):
@@ -400,6 +400,24 @@ def live_hub(run):
     hub = Hub(asked.append, clock=lambda: 0.0)
     hub.open_rig(rig_scene(run, is_live=True))
     return hub, asked
+
+
+@pytest.mark.parametrize("awaits_page", [False, True])
+def test_a_recording_of_the_page_alone_begins_with_the_first_page(run, awaits_page):
+    async def asked_before_and_after():
+        asked = []
+        hub = Hub(asked.append)
+        hub.open_rig(rig_scene(run, frames=50, awaits_page=awaits_page))
+        await asyncio.sleep(0.01)
+        before = len(asked)
+        hub.add(Watcher())
+        await asyncio.sleep(0.01)
+        hub.close_rig()
+        return before, len(asked)
+
+    before, after = asyncio.run(asked_before_and_after())
+    assert (before == 0) == awaits_page
+    assert after > 0
 
 
 def test_any_page_can_stop_but_only_one_has_control(run):

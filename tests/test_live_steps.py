@@ -202,13 +202,7 @@ def test_a_camera_is_shown_live_paused_and_resumed(server):  # noqa: F811
     ],
 )
 def test_uploads_that_are_not_recordings_are_refused(setting_up, name, headers, status, words):
-    given = {
-        "Origin": setting_up.base,
-        "Cookie": setting_up.cookie,
-        "Content_Type": "application/octet-stream",
-        **headers,
-    }
-    found, text, _ = setting_up.ask("PUT", f"/drop/{name}", **given)
+    found, text = dropped(setting_up, name, **headers)
     assert (found, words in text) == (status, True), text
     assert not list(setting_up.folder.iterdir())
 
@@ -218,4 +212,12 @@ def setting_up(tmp_path_factory):
     folder: Path = tmp_path_factory.mktemp("empty")
     with served(folder=folder) as running:
         running.folder = folder
+        wait_until(lambda: dropped(running, "notes.txt")[0] != 409, "the set-up")
         yield running
+
+
+def dropped(running, name, **headers):
+    """Drop a file onto the page; return status and text of the response."""
+    given = {"Origin": running.base, "Cookie": running.cookie, **headers}
+    given.setdefault("Content_Type", "application/octet-stream")
+    return running.ask("PUT", f"/drop/{name}", **given)[:2]

@@ -243,7 +243,7 @@ def test_other_encodings_are_refused_by_their_names(encoding):
 
 
 def test_a_video_is_no_rig_file():
-    with pytest.raises(InvalidInputError, match="as videos, pictures .* name a rig file"):
+    with pytest.raises(InvalidInputError, match=r"as videos, pictures .* name a rig file"):
         parsed(bytes.fromhex("00000020 66747970 69736f6d"))  # the first bytes of an MP4 file
 
 

@@ -88,7 +88,7 @@ class Hub:
         self._setup: dict[str, Any] | None = None
         self._player: Player | None = None
         self._shown = -1
-        self._stopped = False
+        self._stopped = self._awaits_page = False
         self._ended = ""
         self._notes: list[str] = []
         self._tasks: list[asyncio.Task[None]] = []
@@ -107,7 +107,10 @@ class Hub:
         if rig.is_live:
             self._ask(math.inf)
         else:
-            self._player = Player(self._ask, self._show, rig.frames, self._clock)
+            self._awaits_page = rig.awaits_page and not self.watchers
+            self._player = Player(
+                self._ask, self._show, rig.frames, self._clock, is_playing=not self._awaits_page
+            )
             self._tasks.append(asyncio.create_task(self._player.run()))
         self.send_state()
 
@@ -169,7 +172,10 @@ class Hub:
         self.send_state()
 
     def add(self, watcher: Watcher) -> None:
-        """Add a client."""
+        """Add a client; a recording that awaits the first one begins."""
+        if self._player is not None and self._awaits_page:
+            self._player.play()
+        self._awaits_page = False
         self.watchers.add(watcher)
         if self.newest is not None:
             watcher.offer(self.newest, None)

@@ -105,6 +105,7 @@ def operate(
                     targets=rig.things,
                     is_live=is_live,
                     frames=min(counts, default=None),
+                    awaits_page=not is_live and outputs is None,
                 )
                 page.open_rig(scene)
                 frames: Frames = page.allowed(iter(read_views(sources)))

@@ -32,6 +32,8 @@ class Player:
         Expected number of frames of the recording; None if unknown.
     clock
         Returns the time [s].
+    is_playing
+        Whether it begins at once.
     """
 
     def __init__(
@@ -40,10 +42,12 @@ class Player:
         show: Callable[[int, bytes], None],
         frames: int | None,
         clock: Callable[[], float],
+        *,
+        is_playing: bool = True,
     ) -> None:
         self.reel = Reel()
         self.shown = -1
-        self.is_playing = True
+        self.is_playing = is_playing
         self.has_ended = False
         self._ask = ask
         self._show = show

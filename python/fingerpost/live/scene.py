@@ -73,6 +73,8 @@ class RigScene:
         Whether cameras set the pace.
     frames
         Expected number of frames of a recording; None if unknown.
+    awaits_page
+        Whether a recording is played from the first open page on, because nobody else uses it.
     """
 
     title: str
@@ -86,6 +88,7 @@ class RigScene:
     views: tuple[str, ...]
     is_live: bool
     frames: int | None
+    awaits_page: bool = False
 
     @classmethod
     def of(
@@ -98,6 +101,7 @@ class RigScene:
         targets: Iterable[Target] = (),
         is_live: bool,
         frames: int | None,
+        awaits_page: bool = False,
     ) -> RigScene:
         """Return the scene of a rig whose views have the given homographies."""
         first = plane_views[0]
@@ -114,6 +118,7 @@ class RigScene:
             views=tuple(names),
             is_live=is_live,
             frames=frames,
+            awaits_page=awaits_page,
         )
 
     def as_dict(self) -> dict[str, Any]:
