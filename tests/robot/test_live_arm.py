@@ -237,7 +237,7 @@ def until(page, condition):
     wait_until(lambda: page.evaluate(f"() => Boolean({condition})"), condition)
 
 
-def test_an_operator_holds_a_key_or_the_button_and_the_arm_moves_meanwhile(guided, browser):
+def test_an_operator_holds_key_or_button_and_the_arm_moves_meanwhile(guided, browser):
     arm, server = guided
     context = browser.new_context(viewport={"width": 1280, "height": 800})
     complaints = []
@@ -294,6 +294,25 @@ def test_an_operator_holds_a_key_or_the_button_and_the_arm_moves_meanwhile(guide
     escape = partial(page.keyboard.press, "Escape")
     assert_stops(arm, watcher, hold_button, escape, "not armed: STOP was pressed")
     until(page, "document.querySelector('#robot .doing').textContent.includes('STOP')")
+
+    touches = []
+    devtools = context.new_cdp_session(page)
+
+    def touch(*points):
+        kind = "touchEnd" if not points else "touchMove" if touches else "touchStart"
+        touches[:] = [{"x": x, "y": y} for x, y in points]
+        devtools.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": touches})
+
+    def hold_by_touch():
+        if touches:
+            touch()
+        arm_it()
+        box = page.locator(".arm-hold").bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        touch((x, y))
+        touch((x + 60, y - 120))  # a finger that slides scrolls nothing, and still holds
+
+    assert_stops(arm, watcher, hold_by_touch, touch, "not held")
 
     # Closing a page whose button is held down.
     def hold_button_of_a_new_page():
