@@ -3,6 +3,7 @@
 import json
 import math
 import threading
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,8 @@ import pytest
 from click.testing import CliRunner
 from patience import PATIENCE_S
 
-from fingerpost.capture import Frame, open_source
+import fingerpost
+from fingerpost.capture import Frame, open_source, open_views
 from fingerpost.capture.live import LiveSource
 from fingerpost.cli import main
 from fingerpost.config import FixedReference, LensParameters, Plane, Rig
@@ -33,6 +35,7 @@ from fingerpost.simulate import (
 )
 from fingerpost.simulated_rig_file import rig_from_simulation
 
+CLIP = Path(fingerpost.__file__).parent / "data" / "desk" / "rig.toml"
 SEED = 1994
 FRAMES = 6
 TABLE = Background(clutter=20.0, seed=3, sheet=-40.0, level=110.0)
@@ -51,6 +54,7 @@ def recording(
     fps=(30.0, 30.0),
     late_s=0.0,
     start_pose=POSE,
+    frame_count=FRAMES,
 ):
     """Return a rig as a user would write it, and frames of its views."""
     simulated = SimulatedRig(
@@ -60,7 +64,7 @@ def recording(
     rod = RodAndProng()
     truth = simulated.truth(start_pose, device=rod)
     frames = [[] for _ in simulated.cameras]
-    for k in range(FRAMES):
+    for k in range(frame_count):
         pictured = simulated.render(motion, rng=rng, device=rod)
         for i, image in enumerate(pictured.images):
             frames[i].append(Frame(k, k / fps[i] + i * late_s, image))
@@ -214,11 +218,30 @@ def test_a_start_outside_the_image_is_found(clean):
     assert any("start.tip_px (700, 100) is outside the image of 640 × 480 px" in w for w in what)
 
 
-def test_without_a_start_the_hand_is_not_judged(clean):
+def test_without_a_start_few_frames_do_not_tell_whether_there_is_a_hand(clean):
     rig, frames = clean
     diagnosis = examine(with_view(with_view(rig, 0, start=None), 1, start=None), frames)
     assert diagnosis.findings == ()
     assert diagnosis.readings[0].hand_found is None
+
+
+def test_a_hand_is_found_without_a_start():
+    rig = Rig.load(CLIP)
+    rig = with_view(with_view(rig, 0, start=None), 1, start=None)
+    with open_views(rig.sources, rig.readings) as sources:
+        frames = [list(islice(source, 40)) for source in sources]
+    diagnosis = examine(rig, frames)
+    assert diagnosis.findings == ()
+    assert [reading.hand_found for reading in diagnosis.readings] == [True, True]
+
+
+def test_many_frames_without_a_hand_are_reported_for_every_view():
+    rig, frames = recording(motion=None, frame_count=30)
+    rig = with_view(with_view(rig, 0, start=None), 1, start=None)
+    diagnosis = examine(rig, frames)
+    assert [reading.hand_found for reading in diagnosis.readings] == [False, False]
+    assert found(diagnosis) == {(Severity.WARNING, Check.HAND, name) for name in ("left", "right")}
+    assert all("no hand is found in 30 frames" in f.what for f in diagnosis.findings)
 
 
 # --- reference points ------------------------------------------------------------------------

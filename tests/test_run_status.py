@@ -239,6 +239,13 @@ def test_the_summary_counts_statuses_and_reasons():
     ]
 
 
+def test_a_run_without_a_point_names_the_doctor():
+    summary = RunSummary()
+    for fix in fixes(3, Status.ACQUIRING, 'view "left" is acquiring'):
+        summary.add(fix)
+    assert summary.lines(1.0)[-1].startswith("no point at all: `fingerpost doctor`")
+
+
 def test_a_run_without_reasons_names_none():
     summary = RunSummary()
     summary.add(fixes(1, Status.OK, "")[0])

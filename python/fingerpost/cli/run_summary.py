@@ -71,6 +71,8 @@ class RunSummary:
         others = self._reasons.total() - sum(count for _, count in frequent)
         if others:
             lines.append(f"{others:5d}   others")
+        if frames and not self._statuses["ok"]:
+            lines.append("no point at all: `fingerpost doctor` examines the views and the hand")
         return lines + (["notes", *(f"        {note}" for note in notes)] if notes else [])
 
 

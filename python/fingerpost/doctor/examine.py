@@ -17,7 +17,7 @@ from fingerpost.doctor.findings import Check, Diagnosis, Finding, Severity, View
 from fingerpost.doctor.hand import HandReadings, judge_hand, read_hand
 from fingerpost.doctor.pictures import judge_pictures, read_pictures, region_between
 from fingerpost.doctor.references import judge_sizes, judge_together, judge_views
-from fingerpost.doctor.together import judge_times_by_motion
+from fingerpost.doctor.together import judge_tracked, track_together
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, LARGEST_PX, at_most
 from fingerpost.pointing import DEFAULT_OPTIONS, PlaneView
@@ -156,8 +156,13 @@ def examine(
     findings += judge_sizes(full_size_rig, sizes_px)
     findings += _judge_rates(readings)
     findings += _judge_skew(rig, frames)
-    if not any(finding.severity is Severity.ERROR for finding in findings):
-        findings += judge_times_by_motion(rig, frames)
+    can_track = not any(finding.severity is Severity.ERROR for finding in findings)
+    if can_track and (tracked := track_together(rig, frames)) is not None:
+        findings += judge_tracked(rig, tracked, min(map(len, frames)))
+        readings = [
+            reading if reading.hand_found is not None else replace(reading, hand_found=found)
+            for reading, found in zip(readings, tracked.found, strict=True)
+        ]
     ordered = tuple(sorted(findings, key=lambda f: _ORDER[f.severity]))
     return Diagnosis(tuple(readings), ordered, tuple(notes))
 
