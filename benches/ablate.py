@@ -1,12 +1,13 @@
 """The value of each mechanism of the tracker: every figure with it switched off.
 
-    python benches/ablate.py [--workers N] [--hard] [MECHANISM ...]
+    python benches/ablate.py [--workers N] [--hard | --tests] [MECHANISM ...]
 
 Builds the core with the feature `ablation`, which is never shipped, and follows the same clips once
 for every mechanism, with that one switched off. Mechanisms of the core are those of
 `crates/fingerpost-core/src/numeric/ablation.rs`; those of Python are replaced by functions that do
 nothing. The clips are simulated ones and those of the golden tracks, if their footage is there;
-with `--hard`, the moving cases of `robustness.py`, two sequences each in grey and in colour.
+with `--hard`, the moving cases of `robustness.py`, two sequences each in grey and in colour. With
+`--tests`, nothing is followed: the tests of the core that fail without each of its mechanisms.
 
 The table is Markdown, for `docs/ablation.md`: availability; root mean square error in parts of
 the plane; points inside their 95 % ellipse; points beyond three times their 99 % ellipse; time of
@@ -241,6 +242,41 @@ def measure() -> dict[str, Figures]:
     return found
 
 
+# --- tests ----------------------------------------------------------------------------------------
+
+
+def failing_tests(off: str) -> set[str]:
+    """Return the core's tests that fail with one mechanism switched off; "" stands for none."""
+    environment = {
+        **os.environ,
+        "CARGO_TARGET_DIR": str(ROOT / "target" / "ablation"),
+        "FINGERPOST_OFF": off,
+    }
+    cargo = [
+        "cargo",
+        "test",
+        "--locked",
+        "--quiet",
+        "--package",
+        "fingerpost-core",
+        "--no-fail-fast",
+    ]
+    options = ["--lib", "--tests", "--features", "ablation"]
+    done = subprocess.run(
+        [*cargo, *options], cwd=ROOT, env=environment, check=False, capture_output=True, text=True
+    )
+    return set(re.findall(r"^([\w:]+) --- FAILED$", done.stdout, re.MULTILINE))
+
+
+def print_failing_tests(chosen: Iterable[str]) -> None:
+    """Print the tests that only fail without each mechanism."""
+    always = failing_tests("")  # those of allocations: the feature reads the environment
+    print("| switched off | tests that fail |\n|---|---|", flush=True)
+    for name in chosen:
+        fails = sorted(test.partition("::")[2] for test in failing_tests(name) - always)
+        print(f"| {name} | {', '.join(f'`{test}`' for test in fails) or 'none'} |", flush=True)
+
+
 # --- the table ------------------------------------------------------------------------------------
 
 
@@ -303,6 +339,7 @@ def main() -> None:
     parser.add_argument("mechanisms", nargs="*", help="those to switch off; all by default")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--hard", action="store_true", help="the hard cases of robustness.py")
+    parser.add_argument("--tests", action="store_true", help="the core's tests that fail instead")
     parser.add_argument("--measure", help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.measure is not None:
@@ -312,6 +349,9 @@ def main() -> None:
         print(json.dumps({name: asdict(figures) for name, figures in found.items()}))
         return
     chosen = asked.mechanisms or mechanisms()
+    if asked.tests:
+        print_failing_tests(name for name in chosen if name not in PYTHON)
+        return
     options = ["--hard"] if asked.hard else []
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(asked.workers) as pool:
         package = built(Path(folder))

@@ -56,8 +56,6 @@ pub(crate) enum Mechanism {
     CloseBy,
     /// Widths and tapers that differ from the hand's.
     ShapeMismatch,
-    /// Edges that scatter more than usual.
-    UnusualScatter,
     /// The test of a finger against the known background.
     ForegroundTest,
 }

@@ -269,18 +269,6 @@ impl Hand {
         }
     }
 
-    /// Excess residual scatter of a fit over the usual, as a standard deviation \[px\]: √(rms² −
-    /// limit²). The excess is due to a covering object, not to a hand that is known whole.
-    pub(super) fn unusual_px(&self, fit: &Fit) -> f64 {
-        if is_off(Mechanism::UnusualScatter) {
-            return 0.0;
-        }
-        if self.has_usual_residuals() {
-            return 0.0;
-        }
-        (fit.residual_rms_px.powi(2) - self.most_scale_px().powi(2)).max(0.0).sqrt()
-    }
-
     /// Largest residual scatter of a fit at its true place \[px\].
     pub(super) fn most_scale_px(&self) -> f64 {
         (USUAL_TIMES * self.usual_px).max(USUAL_LEAST_PX)

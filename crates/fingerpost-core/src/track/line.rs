@@ -94,14 +94,9 @@ impl FingerLine {
         Self { covariance: self.covariance + difference * difference.transpose(), ..self }
     }
 
-    /// The same line, when an occluder of part of the finger may have biased it by `by_px` at
-    /// either end. Such a bias is systematic: averaging over frames does not reduce it.
-    pub(super) fn with_bias(self, by_px: f64) -> Self {
-        self.with_relative_bias(by_px / self.half_length_px)
-    }
-
-    /// The same for a bias given as a part of the half-length h, as by a bend: adds (part · h)² to
-    /// the variance of the offset and 3 part² to that of the angle.
+    /// The same line with an unknown bias that is a part of the half-length h, as by a bend: adds
+    /// (part · h)² to the variance of the offset and 3 part² to that of the angle. A bias is
+    /// systematic: averaging over frames does not reduce it.
     pub(super) fn with_relative_bias(self, part: f64) -> Self {
         let added = Vector2::new(part * self.half_length_px, part * 3.0_f64.sqrt());
         let added = Matrix2::from_diagonal(&added.map(|s| s * s));
@@ -247,11 +242,11 @@ mod tests {
         let [axis, _] = axes();
         let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
         let line = FingerLine::of_contour(&axis, &covariance);
-        let with_bias = line.with_bias(0.3);
+        let with_bias = line.with_relative_bias(0.3 / line.half_length_px);
         let added = Matrix2::new(0.09, 0.0, 0.0, 3.0 * (0.3 / 30.0_f64).powi(2));
         assert!((with_bias.covariance - covariance - added).norm() < 1e-12);
         assert_eq!(with_bias.axis, line.axis);
-        assert_eq!(line.with_bias(0.0), line);
+        assert_eq!(line.with_relative_bias(0.0), line);
     }
 
     #[test]

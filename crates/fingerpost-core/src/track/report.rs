@@ -172,7 +172,7 @@ impl ContourTracker {
         refined: &Refined,
         pixels: FingerLine,
     ) -> Option<FingerLine> {
-        let contour = self.contour_line(found)?;
+        let contour = contour_line(found)?;
         let Refined { half_width_px, taper, stretch, .. } = *refined;
         if has_own_pixels(found) {
             self.variance_factor.learn(&contour, &pixels, half_width_px);
@@ -185,17 +185,10 @@ impl ContourTracker {
         Some(pixels.joined(&contour).with_shape_mismatch(&unlike, &expected))
     }
 
-    /// The line of a fit's contour, with the bias that an occluder may cause.
-    fn contour_line(&self, found: &FitResult) -> Option<FingerLine> {
-        let fit = found.fit.as_ref()?;
-        let line = FingerLine::of_contour(&fit.axis, &fit.line_covariance);
-        Some(line.with_bias(self.hand.unusual_px(fit)))
-    }
-
     /// The same, corrected by the mean difference of the pixels' lines, with the covariance scaled
     /// and extended by the mismatch of its width and taper.
     fn by_contour(&self, found: &FitResult) -> Option<FingerLine> {
-        let line = self.variance_factor.bias_corrected(self.contour_line(found)?);
+        let line = self.variance_factor.bias_corrected(contour_line(found)?);
         let expected = line.covariance;
         Some(match found.shape {
             Shape::Ribbon(x) => {
@@ -391,4 +384,10 @@ impl ContourTracker {
 /// Whether the pixels about the flanks are the hand's own: an occluder has other pixels.
 fn has_own_pixels(found: &FitResult) -> bool {
     !found.fit.is_some_and(|fit| fit.own_only)
+}
+
+/// The line of a fit's contour.
+fn contour_line(found: &FitResult) -> Option<FingerLine> {
+    let fit = found.fit.as_ref()?;
+    Some(FingerLine::of_contour(&fit.axis, &fit.line_covariance))
 }
