@@ -218,7 +218,7 @@ def test_a_start_outside_the_image_is_found(clean):
     assert any("start.tip_px (700, 100) is outside the image of 640 × 480 px" in w for w in what)
 
 
-def test_few_frames_tell_nothing_of_a_hand_without_a_start(clean):
+def test_few_frames_without_a_start_are_not_judged(clean):
     rig, frames = clean
     diagnosis = examine(with_view(with_view(rig, 0, start=None), 1, start=None), frames)
     assert diagnosis.findings == ()
