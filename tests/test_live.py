@@ -20,12 +20,14 @@ from patience import wait_until
 from websockets.sync.client import connect
 
 from fingerpost.capture import Loss, open_views, read_views
+from fingerpost.cli.session_outputs import SessionOutputs
 from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError, MissingExtraError
 from fingerpost.live import commands
 from fingerpost.live.composer import Composer
 from fingerpost.live.hub import Hub
 from fingerpost.live.moment import LARGEST_PX, Moment, encoded
+from fingerpost.live.operate import operate
 from fingerpost.live.page import Page
 from fingerpost.live.player import Player
 from fingerpost.live.reel import Message, Reel, Strip
@@ -418,6 +420,28 @@ def test_a_recording_of_the_page_alone_begins_with_the_first_page(run, awaits_pa
     before, after = asyncio.run(asked_before_and_after())
     assert (before == 0) == awaits_page
     assert after > 0
+
+
+class UnopenedPage:
+    """A page that lets no frame pass."""
+
+    def open_rig(self, scene):
+        self.scene = scene
+
+    def allowed(self, _frames):
+        return iter(())
+
+    def end(self, words):
+        pass
+
+
+@pytest.mark.parametrize("is_published", [False, True])
+def test_a_recording_awaits_a_page_unless_it_is_published(is_published):
+    publish = ["ndjson:"] if is_published else []
+    page = UnopenedPage()
+    outputs = SessionOutputs(publish=publish, record=None, images=None)
+    operate(page, Rig.load(RIG), "clip", outputs=outputs)
+    assert page.scene.awaits_page != is_published
 
 
 def test_any_page_can_stop_but_only_one_has_control(run):

@@ -51,6 +51,11 @@ class SessionOutputs:
         self._recorder: Recorder | None = None
         self._of_arm: ArmRecording | None = None
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing is to be published or recorded."""
+        return not self._publish and self._record is None
+
     @contextmanager
     def opened(
         self,

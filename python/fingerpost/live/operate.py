@@ -34,6 +34,10 @@ Frames = Iterator[Sequence[Frame | Loss | None]]
 class Outputs(Protocol):
     """Publishes and records a run; implemented by `fingerpost.cli.session_outputs`."""
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing is to be published or recorded."""
+
     def opened(
         self, rig: Rig, sources: Sequence[Source], *, is_live: bool, arm: GuidedArm | None = None
     ) -> AbstractContextManager[None]:
@@ -105,7 +109,7 @@ def operate(
                     targets=rig.things,
                     is_live=is_live,
                     frames=min(counts, default=None),
-                    awaits_page=not is_live and outputs is None,
+                    awaits_page=not is_live and (outputs is None or outputs.is_idle),
                 )
                 page.open_rig(scene)
                 frames: Frames = page.allowed(iter(read_views(sources)))
