@@ -87,8 +87,9 @@ class Tips:
     """Latest positions of one view's fingertip, in pixels of the first view's image."""
 
     def __init__(self) -> None:
-        # Allocated once, so that frames allocate nothing.
-        self._rows = np.empty((MOST_TIPS, 4))
+        # Allocated once, so that frames allocate nothing. Each tip is kept twice, so that the latest
+        # ones are always contiguous.
+        self._rows = np.empty((2 * MOST_TIPS, 4))
         self._count = 0
 
     def __len__(self) -> int:
@@ -96,15 +97,18 @@ class Tips:
 
     def add(self, time_s: float, point: Array) -> None:
         """Add the latest position: its time [s], and a homogeneous vector (3,)."""
-        row = self._rows[self._count % MOST_TIPS]
-        row[0], row[1:] = time_s, point
+        rows = self._rows[self._count % MOST_TIPS :: MOST_TIPS]
+        rows[:, 0], rows[:, 1:] = time_s, point
         self._count += 1
 
     def latest(self) -> tuple[Array, Array]:
-        """Return the times (M,) [s] and points (M, 3) of the last `KEPT_S`, the oldest first."""
+        """Return the times (M,) [s] and points (M, 3) of the last `KEPT_S`, the oldest first.
+
+        They are valid until the next one is added.
+        """
         first = self._count % MOST_TIPS if self._count > MOST_TIPS else 0
-        rows = np.roll(self._rows[: len(self)], -first, axis=0)
-        rows = rows[rows[:, 0] >= rows[-1, 0] - KEPT_S]
+        rows = self._rows[first : first + len(self)]
+        rows = rows[np.searchsorted(rows[:, 0], rows[-1, 0] - KEPT_S) :]
         return rows[:, 0], rows[:, 1:]
 
 
@@ -123,17 +127,20 @@ def lag_between(first: Tips, other: Tips) -> Lag | None:
     (times_s, points), (other_s, there) = first.latest(), other.latest()
     if min(len(times_s), len(other_s)) < LEAST_PAIRS:
         return None
+    # A tip that moves by less than its error within the shortest lag fits any lag: its pairs would
+    # compare biases of the contours alone.
+    if np.hypot(*np.ptp(points[:, :2], axis=0)) < _SPEED_FRAMES * BETTER_PX / SHORTEST_LAG:
+        return None  # none moves so fast
     step_s = max(float(np.median(np.diff(s))) for s in (times_s, other_s))
     if step_s <= 0.0:
         return None
     none = int(SPAN_S / step_s)
     lags_s = step_s * np.arange(-none, none + 1)
-    # A tip that moves by less than its error within the shortest lag fits any lag: its pairs would
-    # compare biases of the contours alone.
     moves = _speed(times_s, points[:, :2]) * step_s >= BETTER_PX / SHORTEST_LAG
-    times_s, points = times_s[moves], points[moves]
-    if len(times_s) < LEAST_PAIRS:
+    if np.count_nonzero(moves) < LEAST_PAIRS:
         return None
+    middle = slice(_SPEED_FRAMES // 2, -_SPEED_FRAMES // 2)
+    times_s, points = times_s[middle][moves], points[middle][moves]
     here_px, _ = _distances_px(times_s[None], points, other_s, there, step_s)
     without_px = float(here_px[0])
     if not without_px > BETTER_PX:  # no lag can be so much better, or there are too few pairs
@@ -154,12 +161,10 @@ def lag_between(first: Tips, other: Tips) -> Lag | None:
 
 
 def _speed(times_s: Array, places: Array) -> Array:
-    """Return the speed of a tip at every time [px/s], by its displacement over `_SPEED_FRAMES`."""
-    here, half = np.arange(len(times_s)), _SPEED_FRAMES // 2
-    before, after = np.maximum(here - half, 0), np.minimum(here + half, len(here) - 1)
-    moved_px = np.linalg.norm(places[after] - places[before], axis=1)
-    span_s = np.maximum(times_s[after] - times_s[before], np.finfo(float).tiny)
-    return np.asarray(moved_px / span_s)
+    """Return the speed of a tip in the middle of all spans of `_SPEED_FRAMES` [px/s]."""
+    moved_px = np.hypot(*(places[_SPEED_FRAMES:] - places[:-_SPEED_FRAMES]).T)
+    span_s = times_s[_SPEED_FRAMES:] - times_s[:-_SPEED_FRAMES]
+    return np.asarray(moved_px / np.maximum(span_s, np.finfo(float).tiny))
 
 
 def _distances_px(
