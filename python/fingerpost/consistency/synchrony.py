@@ -87,8 +87,8 @@ class Tips:
     """Latest positions of one view's fingertip, in pixels of the first view's image."""
 
     def __init__(self) -> None:
-        # Allocated once, so that frames allocate nothing. Each tip is kept twice, so that the latest
-        # ones are always contiguous.
+        # Allocated once, so that frames allocate nothing. Each tip is kept twice: the latest ones
+        # are always contiguous.
         self._rows = np.empty((2 * MOST_TIPS, 4))
         self._count = 0
 
