@@ -142,16 +142,17 @@ def _serve(sources: Mapping[str, Source], link: Zenoh, counts: dict[str, int]) -
             ended.set()
 
     threads = [threading.Thread(target=send, args=entry, daemon=True) for entry in sources.items()]
-    for thread in threads:
-        thread.start()
     try:
+        for thread in threads:  # Ctrl-C may come before the last one has begun
+            thread.start()
         ended.wait()
     finally:
         ended.set()
         for source in sources.values():
             source.close()
         for thread in threads:
-            thread.join()
+            if thread.ident is not None:
+                thread.join()
     if failures:
         raise failures[0]
 
