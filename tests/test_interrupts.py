@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 import tomllib
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from patience import PATIENCE_S
 
 import fingerpost
 from fingerpost.recording.interrupts import uninterrupted
-from fingerpost.signals import ending_at_once
+from fingerpost.signals import ending_at_once, wait_hearing_signals
 
 ROOT = Path(__file__).resolve().parents[1]
 PIPED = {
@@ -182,6 +183,30 @@ def test_the_handler_of_ctrl_c_is_restored_after_imports(stopping):
     with ending_at_once():
         assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals of threads")
+def test_a_signal_that_another_thread_receives_ends_a_wait(stopping):
+    # The same state as after a signal just before a wait: a handler is due, and nothing wakes it.
+    ended = threading.Event()
+
+    def strike():
+        time.sleep(0.3)
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+        time.sleep(10.0)
+        ended.set()
+
+    threading.Thread(target=strike, daemon=True).start()
+    with pytest.raises(StoppedError):
+        wait_hearing_signals(ended.wait)
+    assert not ended.is_set()
+
+
+def test_a_wait_ends_with_its_event():
+    ended = threading.Event()
+    threading.Timer(0.3, ended.set).start()
+    wait_hearing_signals(ended.wait)
+    assert ended.is_set()
 
 
 def test_no_heavy_import_precedes_the_ctrl_c_handler():

@@ -1,9 +1,9 @@
-"""End of a program: its signals, an interrupt during imports, and threads that are stuck."""
+"""End of a program: its signals, also during imports and waits, and threads that are stuck."""
 
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 STOPPED = 130
@@ -35,6 +35,24 @@ def ending_at_once() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, raising)
+
+
+_HEARD_EVERY_S = 0.2
+
+
+def wait_hearing_signals(wait: Callable[[float], object]) -> None:
+    """Wait in the main thread, as long as it takes, and let a signal end it.
+
+    A signal that arrives just before a wait without a time-out, or that another thread receives, is
+    handled only after that wait.
+
+    Parameters
+    ----------
+    wait
+        Waits for so many seconds at most; returns whether the event has happened.
+    """
+    while not wait(_HEARD_EVERY_S):
+        pass
 
 
 _stuck: list[threading.Thread] = []

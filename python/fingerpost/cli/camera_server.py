@@ -12,6 +12,7 @@ import click
 from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.cli.live_views import hush_streams
 from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.signals import wait_hearing_signals
 
 if TYPE_CHECKING:
     from fingerpost.capture import CameraSettings, Source
@@ -142,17 +143,16 @@ def _serve(sources: Mapping[str, Source], link: Zenoh, counts: dict[str, int]) -
             ended.set()
 
     threads = [threading.Thread(target=send, args=entry, daemon=True) for entry in sources.items()]
+    for thread in threads:
+        thread.start()
     try:
-        for thread in threads:  # Ctrl-C may come before the last one has begun
-            thread.start()
-        ended.wait()
+        wait_hearing_signals(ended.wait)
     finally:
         ended.set()
         for source in sources.values():
             source.close()
         for thread in threads:
-            if thread.ident is not None:
-                thread.join()
+            thread.join()
     if failures:
         raise failures[0]
 

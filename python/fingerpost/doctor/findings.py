@@ -82,7 +82,8 @@ class ViewReadings:
     blur_px
         Standard deviation of the blur of the sharper edges [px].
     hand_found
-        Whether the tracker confirmed a hand; None if it did not run, because of other problems.
+        Whether the tracker confirmed a hand; None after too few frames, or if it did not run,
+        because of other problems.
     contrast
         Contrast of the finger against its surroundings [grey levels].
     finger_px

@@ -28,6 +28,7 @@ from fingerpost.live.process import serve
 from fingerpost.live.scene import RigScene
 from fingerpost.live.setup.asked import Arrange, Dropped, SetUpCommand
 from fingerpost.pipeline import Step
+from fingerpost.signals import wait_hearing_signals
 from fingerpost.workers import held_back
 
 _log = logging.getLogger(__name__)
@@ -157,7 +158,7 @@ class Page:
             The page's process has ended.
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._lost or self._asked)
+            self._wait_for(lambda: self._lost or self._asked)
             self._refuse_lost()
             asked = self._asked.popleft()
             while (
@@ -191,7 +192,7 @@ class Page:
         """
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._lost or self._given < self._allowed)
+                self._wait_for(lambda: self._lost or self._given < self._allowed)
             self._refuse_lost()
             together = next(frames, None)
             if together is None:
@@ -220,7 +221,7 @@ class Page:
             begun_s = step.fix.time_s if self._is_live else self._begun_s
         with self._changed:
             if not self._is_live:
-                self._changed.wait_for(lambda: self._lost or self._next is None)
+                self._wait_for(lambda: self._lost or self._next is None)
             self._next = step, self._number, begun_s, reported_s
             self._number += 1
             self._changed.notify_all()
@@ -253,9 +254,7 @@ class Page:
     def end(self, words: str) -> None:
         """Report the end of the steps, with the reason."""
         with self._changed:
-            self._changed.wait_for(
-                lambda: self._lost or (self._next is None and self._unanswered == 0)
-            )
+            self._wait_for(lambda: self._lost or (self._next is None and self._unanswered == 0))
         self._post("ended", words)
 
     def wait(self) -> None:
@@ -267,7 +266,7 @@ class Page:
             It has.
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._lost)
+            self._wait_for(lambda: self._lost)
         self._refuse_lost()
 
     def close(self) -> None:
@@ -286,6 +285,9 @@ class Page:
         for thread in getattr(self, "_threads", ()):
             thread.join()
         self._pipe.close()
+
+    def _wait_for(self, true: Callable[[], object]) -> None:
+        wait_hearing_signals(lambda most_s: self._changed.wait_for(true, most_s))
 
     def _refuse_lost(self) -> None:
         if self._lost:

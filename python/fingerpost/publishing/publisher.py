@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from fingerpost.publishing.fix import Pictures, PublishedFix
-from fingerpost.signals import leave_behind
+from fingerpost.signals import leave_behind, wait_hearing_signals
 
 _log = logging.getLogger(__name__)
 
@@ -78,12 +78,15 @@ class Publisher:
         with self._changed:
             self._put += 1
             if self._waits:
-                self._changed.wait_for(lambda: len(self._queue) < _WAITING or self._closed)
+                wait_hearing_signals(lambda most_s: self._changed.wait_for(self._has_room, most_s))
             elif len(self._queue) >= _WAITING:
                 self._queue.popleft()
                 self._dropped += 1
             self._queue.append((fix, pictures))
             self._changed.notify_all()
+
+    def _has_room(self) -> bool:
+        return len(self._queue) < _WAITING or self._closed
 
     def notes(self) -> list[str]:
         """Return remarks for the user at the end; none if all fixes were published."""
