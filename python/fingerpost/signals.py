@@ -37,7 +37,7 @@ def ending_at_once() -> Iterator[None]:
         signal.signal(signal.SIGINT, raising)
 
 
-_HEARD_EVERY_S = 0.2
+_WAIT_S = 0.2
 
 
 def wait_hearing_signals(wait: Callable[[float], object]) -> None:
@@ -51,7 +51,7 @@ def wait_hearing_signals(wait: Callable[[float], object]) -> None:
     wait
         Waits for so many seconds at most; returns whether the event has happened.
     """
-    while not wait(_HEARD_EVERY_S):
+    while not wait(_WAIT_S):
         pass
 
 
