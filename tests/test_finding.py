@@ -51,7 +51,7 @@ from fingerpost.finding.foreground import may_have_come
 from fingerpost.finding.length import TemplateExtension
 from fingerpost.finding.pairs import TIP_POWER, foreshortenings, reaches_farther, same_tip
 from fingerpost.finding.pixel_tests import blur_asymmetry, widening
-from fingerpost.finding.trial import Trial, pair_rank
+from fingerpost.finding.trial import STRIPE_FRAMES, Trial, pair_rank
 from fingerpost.finding.views import (
     TriedPair,
     is_behind,
@@ -1471,6 +1471,24 @@ def test_a_missed_finger_is_soon_searched_in_the_whole_image(frames, is_searchin
     assert view.is_searching is is_searching
 
 
+def test_evidence_against_a_rejected_finger_is_none_against_the_next(monkeypatch):
+    """A template that has followed a stripe waits again, and has as many frames as before."""
+    monkeypatch.setattr("fingerpost.finding.trial.is_stripe", lambda *_: True)
+    rig = SimulatedRig()
+    view = waiting(rig, rig.cameras[0])
+    shown = []
+    for k in range(4 * 2 * STRIPE_FRAMES):
+        frame = Frame(k, k / FPS, BLACK)
+        view.view_frame(frame)
+        view.follow(frame, followed_track(rig, rig.cameras[0]))
+        shown.append(view.shows_finger)
+        view.observe(frame)
+    # Tested in every fourth frame until one is a stripe's, and in each from then on.
+    rejected = np.flatnonzero(np.logical_not(shown))
+    assert len(rejected) >= 3
+    assert np.diff(rejected).min() >= STRIPE_FRAMES
+
+
 BLACK = np.zeros((480, 640), np.uint8)
 
 
@@ -1518,7 +1536,7 @@ def test_views_that_give_no_point_search_beside_their_fingers(points, is_searchi
             view.follow(frame, track)
         shared = PairTests()
         for view, other in (views, views[::-1]):
-            view.validate([other], shared)
+            assert view.validate([other], shared)
     one, other = (view.is_searching for view in views)
     assert one is is_searching
     assert other is is_searching

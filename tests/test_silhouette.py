@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fingerpost.finding import Viewpoint
+from fingerpost.lens import Lens
 from fingerpost.pointing import PlaneView
 from fingerpost.silhouette import Capsule, Silhouette, image_from_space
 from fingerpost.simulate import SimulatedRig
@@ -27,6 +28,16 @@ def test_the_camera_matrix_projects_as_the_camera_does():
     image = np.pad(points, ((0, 0), (0, 1)), constant_values=1.0) @ matrix.T
     assert image[:, 2].min() > 0
     np.testing.assert_allclose(image[:, :2] / image[:, 2:], CAMERA.project(points), atol=1e-6)
+
+
+def test_a_lens_of_two_focal_lengths_gives_the_camera_centre():
+    """Pixels that are not square: every row is stretched by a quarter."""
+    lens = Lens(CAMERA.f_px, 1.25 * CAMERA.f_px, *CAMERA.principal_point_px, 0.0)
+    stretched = CAMERA.project(np.pad(PLANE, ((0, 0), (0, 1))))
+    stretched[:, 1] = lens.cy + 1.25 * (stretched[:, 1] - lens.cy)
+    view = PlaneView.from_reference_points(PLANE, stretched, None, lens)
+    centre = Viewpoint.of(view, (CAMERA.width_px, CAMERA.height_px)).centre
+    np.testing.assert_allclose(centre, CAMERA.centre_mm, atol=1e-6)
 
 
 def test_a_capsule_covers_its_inside_and_nothing_outside():

@@ -600,8 +600,9 @@ class Pointer:
         distinguish_body_from_hands(self.views, bodies)
         self._reject_table_pattern(frames)
         rests = self._rest.update(self.views, frames)
+        for view in self.views:
+            view.update_from_other_views(self._others(view))
         for view, frame in zip(self.views, frames, strict=True):
-            view.update_from_other_views([other for other in self.views if other is not view])
             view.observe(frame, rests=rests)
         if not rests and any(view.is_searching for view in self.views):
             find_hand(self.views, frames)
@@ -612,8 +613,8 @@ class Pointer:
         compare_widths(self.views)
         shared = PairTests()
         compare_lengths(self.views, shared)
-        for view in self.views:
-            view.validate([other for other in self.views if other is not view], shared)
+        for view in [v for v in self.views if not v.validate(self._others(v), shared)]:
+            view.reject()
         observations = tuple(
             Observation.of(view, frame, loss, watch, reduction or WHOLE)
             for view, frame, loss, watch, reduction in zip(
@@ -781,6 +782,10 @@ class Pointer:
                 view.follow(frame, track)
         if errors:
             raise errors[0]
+
+    def _others(self, view: HandView) -> list[HandView]:
+        """Return all views but one."""
+        return [other for other in self.views if other is not view]
 
     def _reject_table_pattern(self, frames: Sequence[Frame | None]) -> None:
         """Reject fingers that are patterns on the table."""

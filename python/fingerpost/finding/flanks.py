@@ -127,10 +127,6 @@ class Flanks:
 
     def __init__(self) -> None:
         self._frames = 0
-        self.forget()
-
-    def forget(self) -> None:
-        """Reset: another finger will be followed, or none."""
         # Running mean of the signed blur asymmetry; None if unknown.
         self._asymmetry: float | None = None
         self._fits: deque[ShadingFit | None] = deque(maxlen=MEDIAN_FRAMES)

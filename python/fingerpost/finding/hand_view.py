@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -84,12 +85,66 @@ STOOD_FRAMES = 8
 """Frames in which a finger is static while another view's moves, after which it is rejected."""
 
 
+@dataclass(slots=True)
+class Streak:
+    """Number of consecutive frames in which a condition has held."""
+
+    frames: int = 0
+
+    def update(self, holds: bool) -> None:
+        """Count a frame: one more if the condition holds in it, else none."""
+        self.frames = self.frames + 1 if holds else 0
+
+
+@dataclass(slots=True, eq=False)
+class Followed:
+    """What a view follows: a tracker, and the state of all tests of its finger.
+
+    It is replaced as a whole when the finger is rejected, so that no test of the next finger begins
+    with the evidence against the last one.
+    """
+
+    tracker: ContourTracker | None = None
+    track: Track | None = None
+    """Result for the last frame."""
+    lines: deque[FingerLine] = field(default_factory=lambda: deque(maxlen=STOOD_FRAMES))
+    """Latest lines of a validated finger."""
+    last_seen: LastSeen | None = None
+    memory: Memory = field(default_factory=Memory)
+    extension: TemplateExtension | None = None
+    flanks: Flanks = field(default_factory=Flanks)
+    tip: TipTest = field(default_factory=TipTest)
+    foreshortening: float | None = None
+    is_table: bool = False
+    """Whether its finger has been background for `BACKGROUND_FRAMES`."""
+    stripe_frames: int = 0
+    """Count of `count_stripes`."""
+    background: Streak = field(default_factory=Streak)
+    table: Streak = field(default_factory=Streak)
+    unsupported: Streak = field(default_factory=Streak)
+    alone: Streak = field(default_factory=Streak)
+    without_point: Streak = field(default_factory=Streak)
+    flat: Streak = field(default_factory=Streak)
+    missed: Streak = field(default_factory=Streak)
+    doubtful: Streak = field(default_factory=Streak)
+    waiting: Streak = field(default_factory=Streak)
+
+    @property
+    def line(self) -> FingerLine | None:
+        """Finger line of the last frame; None without one."""
+        return None if self.track is None else self.track.finger_line
+
+
 class HandView:
     """One view: its tracker, its search for the hand, and its homography.
 
     A view with a start pose waits there with the initial template until it has followed a hand. If
     no hand comes there, it also searches the whole image, as does a view without a start pose and
     any view that has lost the hand; see `fingerpost.finding`.
+
+    The order of a frame's calls is that of `fingerpost.pipeline.Pointer.update`: `exclude_bodies`,
+    `view_frame`, `follow`, `judge_body`, `reject_if_flat`, `update_from_other_views`, `observe`,
+    `settle`, `test_flanks`, `test_tip`, `validate`.
 
     Parameters
     ----------
@@ -124,38 +179,19 @@ class HandView:
         """Whether its tracker follows a moving body of the system in the last frame."""
         self.may_show_body = False
         """Whether its finger lies within the silhouette of such a body."""
-        self._doubtful_frames = 0
         self.search = HandSearch(tracker_options)
-        self._tracker: ContourTracker | None = None
-        self._track: Track | None = None
-        self._latest: deque[FingerLine] = deque(maxlen=STOOD_FRAMES)
-        self._last_seen: LastSeen | None = None
-        self._memory = Memory()
+        self._followed = Followed()
         self.is_recognised = False
         """Whether its finger has the appearance of the hand it followed before."""
-        self._background_frames = 0
-        self._is_table = False
-        self._table_frames = 0
-        self._unsupported_frames = 0
-        self._alone_frames = 0
-        self._no_point_frames = 0
         self._has_camera_moved = False
         self._is_elsewhere = False
         self._is_supported = False
         self._frames = 0
-        self._flat_frames = 0
-        self._missed_frames = 0
-        self._waiting_frames = 0
         self.missing = Status.ACQUIRING
         """Status without a tracker: acquiring the first hand, or lost."""
         self.log_width_ratio: float | None = None
         """Running mean of the logarithm of the finger's width here over that in the view that
         agrees best; None if unknown."""
-        self._foreshortening: float | None = None
-        self._flanks = Flanks()
-        self._tip = TipTest()
-        self._stripe_frames = 0
-        self._extension: TemplateExtension | None = None
         self._first_hand: FirstHand | None = None
         self._start: StartPose | None = None
         if view.start is not None:
@@ -164,7 +200,7 @@ class HandView:
             start = StartPose(tip_px, np.radians(angle_deg), view.start.length_px)
             self._start = start
             waiting = partial(ContourTracker, template, start, tracker_options)
-            self._tracker = waiting()
+            self._followed.tracker = waiting()
             self._first_hand = FirstHand(self.search.background, start, waiting)
 
     @property
@@ -175,14 +211,17 @@ class HandView:
         another view follows a hand that has bypassed the template; and while this view's finger
         has no support by another view, gives no point, or is missed.
         """
-        if self._tracker is None or self._misses_hand:
+        if self._followed.tracker is None or self._misses_hand:
             return True
-        if self._is_alone_for_long or self._no_point_frames >= NO_POINT_FRAMES:
+        if self._is_alone_for_long or self._followed.without_point.frames >= NO_POINT_FRAMES:
             return True
         # A trial found beside an unsupported finger is not yet proven.
         if self.search.found is not None:
             return True
-        return self._missed_frames >= MISSED_FRAMES or self._waiting_frames >= WAITING_FRAMES
+        return (
+            self._followed.missed.frames >= MISSED_FRAMES
+            or self._followed.waiting.frames >= WAITING_FRAMES
+        )
 
     @property
     def _misses_hand(self) -> bool:
@@ -192,11 +231,11 @@ class HandView:
     @property
     def shows_finger(self) -> bool:
         """Whether its tracker has a finger line in this frame."""
-        return self._track is not None and self._track.finger_line is not None
+        return self._followed.line is not None
 
     @property
     def _is_alone_for_long(self) -> bool:
-        return self._alone_frames >= ALONE_FRAMES
+        return self._followed.alone.frames >= ALONE_FRAMES
 
     def move(self, plane_view: PlaneView) -> None:
         """Set the homography after a motion of the camera."""
@@ -237,12 +276,19 @@ class HandView:
     @property
     def tracker(self) -> ContourTracker | None:
         """The tracker that follows: that of the accepted trial, or else the view's."""
-        return self.search.found.tracker if self.search.found is not None else self._tracker
+        return (
+            self.search.found.tracker if self.search.found is not None else self._followed.tracker
+        )
 
     @property
     def track(self) -> Track | None:
         """Result for the last frame of the accepted trial, or else of the view's tracker."""
-        return self.search.found.track if self.search.found is not None else self._track
+        return self.search.found.track if self.search.found is not None else self._followed.track
+
+    @property
+    def line(self) -> FingerLine | None:
+        """Finger line of that result; None without one."""
+        return None if self.track is None else self.track.finger_line
 
     @property
     def foreshortening(self) -> float | None:
@@ -250,22 +296,22 @@ class HandView:
 
         None if unknown. Setting it sets the tracker's as well.
         """
-        return self._foreshortening
+        return self._followed.foreshortening
 
     @foreshortening.setter
     def foreshortening(self, foreshortening: float) -> None:
-        self._foreshortening = foreshortening
+        self._followed.foreshortening = foreshortening
         if self.tracker is not None:
             self.tracker.foreshortening = foreshortening
 
     def may_follow(self, trial: Trial) -> bool:
         """Whether a trial may be the hand lost here, by colour and width."""
-        return self._memory.is_compatible(trial.appearance, trial.track.time_s)
+        return self._followed.memory.is_compatible(trial.appearance, trial.track.time_s)
 
     @property
     def is_presented(self) -> bool | None:
         """Whether its hand is at the rig's initial template; None without one."""
-        line = self.track.finger_line if self.track is not None else None
+        line = self.line
         if self._start is None or line is None:
             return None
         start = self._start
@@ -279,29 +325,32 @@ class HandView:
         """
         return (
             1.0
-            if self._last_seen is None
-            else self._last_seen.direction_likelihood(angle_rad, time_s)
+            if self._followed.last_seen is None
+            else self._followed.last_seen.direction_likelihood(angle_rad, time_s)
         )
 
     @property
     def axis_correction(self) -> AxisCorrection:
         """Correction from the line between the visible edges to the finger's axis."""
-        axis_correction = self._flanks.axis_correction
+        axis_correction = self._followed.flanks.axis_correction
         by_width = sigma_from_width_ratio(self.log_width_ratio or 0.0)
-        sigma = math.hypot(by_width, axis_correction.sigma, self._tip.sigma)
+        sigma = math.hypot(by_width, axis_correction.sigma, self._followed.tip.sigma)
         return axis_correction._replace(sigma=sigma)
 
     @property
     def hand(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None:
         """Image region of the hand in the last frame; None without a finger line."""
-        line = self.track.finger_line if self.track is not None else None
-        return None if line is None else hand_region(line)
+        return None if self.line is None else hand_region(self.line)
 
     @property
     def has_newcomer(self) -> bool:
-        """Whether it has followed a hand that came after the background was learned."""
+        """Whether its hand counts as evidence for the other views.
+
+        Every hand that the search has found does; one at the initial template, if it came after the
+        background was learned.
+        """
         first = self._first_hand
-        return self._tracker is not None if first is None else first.is_newcomer
+        return self._followed.tracker is not None if first is None else first.is_newcomer
 
     @property
     def has_rival(self) -> bool:
@@ -317,10 +366,10 @@ class HandView:
         """Return the tracker and its inputs for a frame; None without a tracker."""
         background = self.search.update_background(frame)
         self._confirm_first_hand(frame)
-        if self._tracker is None:
+        if self._followed.tracker is None:
             return None
         known = background if self._stands_free else None
-        return self._tracker, frame.grey(), frame.time_s, frame.colour(), known
+        return self._followed.tracker, frame.grey(), frame.time_s, frame.colour(), known
 
     def follow(self, frame: Frame, track: Track) -> None:
         """Store the tracker's result for the view's frame."""
@@ -333,22 +382,24 @@ class HandView:
             return
         self._count_missed(track)
         self._count_waiting(frame, track)
-        self._track = track
-        if self._extension is not None and self._tracker is not None:
-            self._tracker, self._track = self._extension.update(
-                self._tracker, track, frame, self.search.background
+        self._followed.track = track
+        if self._followed.extension is not None and self._followed.tracker is not None:
+            self._followed.tracker, self._followed.track = self._followed.extension.update(
+                self._followed.tracker, track, frame, self.search.background
             )
-        if self._stripe_frames > 0 or self._frames % TEST_EVERY == 0:
-            self._stripe_frames = count_stripes(self._stripe_frames, frame, self._track)
-        if self._stripe_frames >= STRIPE_FRAMES:
+        if self._followed.stripe_frames > 0 or self._frames % TEST_EVERY == 0:
+            self._followed.stripe_frames = count_stripes(
+                self._followed.stripe_frames, frame, self._followed.track
+            )
+        if self._followed.stripe_frames >= STRIPE_FRAMES:
             self._abandon(had_hand=self.is_sure)
             return
         if self._first_hand is not None:
             self._first_hand.prove(frame, track.finger_line)
         # The jump of a template from the table to the hand is not the hand's motion.
         if track.finger_line is not None and self.is_sure:
-            self._latest.append(track.finger_line)
-            self._last_seen = LastSeen(track.finger_line.angle_rad, frame.time_s)
+            self._followed.lines.append(track.finger_line)
+            self._followed.last_seen = LastSeen(track.finger_line.angle_rad, frame.time_s)
         if track.finger_line is not None and self.is_sure and not self.may_show_body:
             self._learn_appearance(frame, track.finger_line)
 
@@ -356,9 +407,9 @@ class HandView:
         """Whether a tracker that had lost its hand has found one of another appearance."""
         line = track.finger_line
         half_width_px = fitted_half_width_px(track)
-        if line is None or half_width_px is None or self._missed_frames == 0:
+        if line is None or half_width_px is None or self._followed.missed.frames == 0:
             return False
-        return not self._memory.is_compatible(
+        return not self._followed.memory.is_compatible(
             Appearance.of(frame, line, half_width_px), frame.time_s
         )
 
@@ -368,49 +419,50 @@ class HandView:
         None means unknown: it is treated as no hand, and rejected after `ALONE_FRAMES`.
         """
         self.shows_body = not is_hand
-        self._doubtful_frames = self._doubtful_frames + 1 if is_hand is None else 0
-        if is_hand is False or self._doubtful_frames >= ALONE_FRAMES:
+        self._followed.doubtful.update(is_hand is None)
+        if is_hand is False or self._followed.doubtful.frames >= ALONE_FRAMES:
             self.may_show_body = False
             self._abandon(had_hand=self.is_sure, keeps_memory=True)
 
     @property
     def tip_px(self) -> tuple[float, float] | None:
         """Tip of its finger line; None without one."""
-        line = self.track.finger_line if self.track is not None else None
-        return None if line is None else line.tip_px
+        return None if self.line is None else self.line.tip_px
 
     def _learn_appearance(self, frame: Frame, line: FingerLine) -> None:
         """Learn the appearance of a hand that is followed for good."""
-        half_width_px = fitted_half_width_px(self._track)
+        half_width_px = fitted_half_width_px(self._followed.track)
         if half_width_px is not None:
-            self._memory.learn(Appearance.of(frame, line, half_width_px), frame.time_s)
+            self._followed.memory.learn(Appearance.of(frame, line, half_width_px), frame.time_s)
 
     def _count_waiting(self, frame: Frame, track: Track) -> None:
         """Count the consecutive frames with foreground but no hand at the template."""
         is_waiting = track.status == "acquiring"
         may_be_elsewhere = is_waiting and may_have_come(self.search.background, frame)
-        self._waiting_frames = self._waiting_frames + 1 if may_be_elsewhere else 0
+        self._followed.waiting.update(may_be_elsewhere)
 
     def _count_missed(self, track: Track) -> None:
         """Count the consecutive frames in which the followed finger is missed."""
         is_bent = track.status == "tracking" and track.diagnostics.refusal == "misfit"
         is_missed = track.finger_line is None and track.status != "acquiring" and not is_bent
-        if is_missed and self._missed_frames == 0 and self._tracker is not None:
-            self._remember_length(self._tracker)
-        self._missed_frames = self._missed_frames + 1 if is_missed else 0
+        if is_missed and self._followed.missed.frames == 0 and self._followed.tracker is not None:
+            self._remember_length(self._followed.tracker)
+        self._followed.missed.update(is_missed)
 
     def _remember_length(self, tracker: ContourTracker) -> None:
         """Accept a template of the length that was followed until the last frame."""
-        half_width_px = fitted_half_width_px(self._track)
-        if self._latest and half_width_px is not None:
-            self.search.remember_length(length_px(tracker, self._latest[-1]) / half_width_px)
+        half_width_px = fitted_half_width_px(self._followed.track)
+        if self._followed.lines and half_width_px is not None:
+            self.search.remember_length(
+                length_px(tracker, self._followed.lines[-1]) / half_width_px
+            )
 
     @property
     def may_follow_table(self) -> bool:
         """Whether the flatness of the followed finger is to be tested with this frame."""
         if self._first_hand is not None and self._first_hand.may_be_flat:
             return True
-        return self._flat_frames > 0 or self._frames % TEST_EVERY == 0
+        return self._followed.flat.frames > 0 or self._frames % TEST_EVERY == 0
 
     def reject_if_flat(self, flat: float) -> None:
         """Reject the followed finger if it lies in the plane.
@@ -421,9 +473,9 @@ class HandView:
         """
         first = self._first_hand
         if first is None or not first.may_be_flat:
-            self._flat_frames = self._flat_frames + 1 if flat >= MIN_FLATNESS else 0
-            if self._flat_frames >= FLAT_FRAMES:
-                self._release()
+            self._followed.flat.update(flat >= MIN_FLATNESS)
+            if self._followed.flat.frames >= FLAT_FRAMES:
+                self.reject()
                 self.search.reset_background()
             return
         if first.update_flatness(flat):
@@ -435,12 +487,13 @@ class HandView:
         With `keeps_memory` the appearance of the hand followed before is kept.
         """
         waiting = None if self._first_hand is None else self._first_hand.restart_waiting()
+        memory = self._followed.memory
         if had_hand or waiting is None:
-            memory = self._memory
-            self._release()
-            self._memory = memory if keeps_memory else self._memory
+            self.reject()
         else:
-            self._tracker, self._track = waiting, None
+            self._followed = Followed(waiting)
+        if keeps_memory:
+            self._followed.memory = memory
 
     def is_quiet(self, frame: Frame) -> bool:
         """Whether a frame shows neither a finger nor foreground that may be a hand.
@@ -463,9 +516,9 @@ class HandView:
         if frame is None:
             return
         self._frames += 1
-        self._is_table = self._shows_background(frame)
-        if self._first_hand is None and self._is_table:
-            self._release()
+        self._followed.is_table = self._shows_background(frame)
+        if self._first_hand is None and self._followed.is_table:
+            self.reject()
         self.search.learn(frame, self.track if self.is_sure else None)
         if not self.is_searching:
             self.search.stop()
@@ -475,24 +528,22 @@ class HandView:
     def _shows_background(self, frame: Frame) -> bool:
         """Whether the followed finger has been background for `BACKGROUND_FRAMES`.
 
-        A tracker that has lost a hand may lock on to an edge of the table.
+        A tracker that has lost a hand may lock on to an edge of the table. Frames without a line
+        do not change the count.
         """
-        line = self._track.finger_line if self._track is not None else None
+        line = self._followed.line
         if line is None:
             return False
-        self._background_frames += 1
-        if not is_background(self.search.background, frame, line):
-            self._background_frames = 0
-        return self._background_frames >= BACKGROUND_FRAMES
+        self._followed.background.update(is_background(self.search.background, frame, line))
+        return self._followed.background.frames >= BACKGROUND_FRAMES
 
     def _confirm_first_hand(self, frame: Frame) -> None:
         """Switch to the second template if it has found the hand; the first may be on the table."""
         if self._first_hand is None:
             return
-        track = None if self._is_table else self._track
-        line = track.finger_line if track is not None else None
+        line = None if self._followed.is_table else self._followed.line
         second = self._first_hand.confirm(frame, line, is_supported=self._is_supported)
-        self._tracker = second or self._tracker
+        self._followed.tracker = second or self._followed.tracker
 
     @property
     def _stands_free(self) -> bool:
@@ -503,10 +554,12 @@ class HandView:
         """Follow the accepted trial for good, once it is proven."""
         found = self.search.found
         if found is not None and found.is_proven:
-            self.is_recognised = self._memory.recognises(found.appearance, found.track.time_s)
-            self._tracker, self._track = found.tracker, found.track
-            self._extension = found.extension
-            self._stripe_frames = found.stripe_frames
+            self.is_recognised = self._followed.memory.recognises(
+                found.appearance, found.track.time_s
+            )
+            self._followed.tracker, self._followed.track = found.tracker, found.track
+            self._followed.extension = found.extension
+            self._followed.stripe_frames = found.stripe_frames
             if self._first_hand is not None:
                 self._first_hand.accept_from_search()
             self.missing = Status.LOST
@@ -515,18 +568,18 @@ class HandView:
     def test_flanks(self, frame: Frame | None) -> None:
         """Update the axis correction from a frame's flanks."""
         if frame is not None:
-            self._flanks.update(frame, self.track)
+            self._followed.flanks.update(frame, self.track)
 
     def test_tip(self, frame: Frame | None) -> None:
         """Update the axis correction from what is ahead of the tip in a frame."""
-        line = self.track.finger_line if self.track is not None else None
         half_width_px = fitted_half_width_px(self.track)
-        if frame is not None and line is not None and half_width_px is not None:
-            self._tip.update(self.search.background, frame, line, half_width_px)
+        if frame is not None and self.line is not None and half_width_px is not None:
+            self._followed.tip.update(self.search.background, frame, self.line, half_width_px)
 
-    def validate(self, others: Sequence[HandView], shared: PairTests) -> None:
-        """Reject the followed finger after frames without support by another view.
+    def validate(self, others: Sequence[HandView], shared: PairTests) -> bool:
+        """Return False for a followed finger after frames without support by another view.
 
+        It is to be rejected once all views are validated: each is judged by the fingers of all.
         A hand that the search has found must give a point with another view. One that was held up
         to an initial template is unsupported only while every other view follows another finger.
         """
@@ -536,20 +589,21 @@ class HandView:
             is_alone = all(
                 shared.have_two_tips(self, other) or shared.are_two(self, other) for other in others
             )
-        self._unsupported_frames = self._unsupported_frames + 1 if is_alone else 0
-        self._alone_frames = self._alone_frames + 1 if self._is_alone(others, shared) else 0
+        self._followed.unsupported.update(is_alone)
+        self._followed.alone.update(self._is_alone(others, shared))
         self._count_frames_without_point(others, shared)
         self._is_supported = self._is_supported_by(others, shared)
         self._recognise(others, shared)
         # A hand that has come into another view is foreground in this one, too.
-        is_table = self._is_table and not self.is_sure and any(o.has_newcomer for o in others)
-        self._table_frames = self._table_frames + 1 if is_table else 0
-        if (
-            self._table_frames >= BACKGROUND_FRAMES
-            or self._unsupported_frames >= UNSUPPORTED_FRAMES
+        is_table = (
+            self._followed.is_table and not self.is_sure and any(o.has_newcomer for o in others)
+        )
+        self._followed.table.update(is_table)
+        return not (
+            self._followed.table.frames >= BACKGROUND_FRAMES
+            or self._followed.unsupported.frames >= UNSUPPORTED_FRAMES
             or self._is_left_behind(others, shared)
-        ):
-            self._release()
+        )
 
     def _is_alone(self, others: Sequence[HandView], shared: PairTests) -> bool:
         """Whether it has a finger, and every other view another one or none."""
@@ -565,10 +619,11 @@ class HandView:
         """
         pairs = [other for other in others if self.shows_finger and other.shows_finger]
         if any(shared.can_be_one(self, other) for other in pairs):
-            self._no_point_frames, self._has_camera_moved = 0, False
+            self._followed.without_point.update(False)
+            self._has_camera_moved = False
         elif pairs:
-            self._no_point_frames += 1
-            if self._no_point_frames == NO_POINT_FRAMES and self._has_camera_moved:
+            self._followed.without_point.update(True)
+            if self._followed.without_point.frames == NO_POINT_FRAMES and self._has_camera_moved:
                 self.search.reset_background()
 
     def _is_left_behind(self, others: Sequence[HandView], shared: PairTests) -> bool:
@@ -576,9 +631,9 @@ class HandView:
 
         A finger that moves towards a camera is static in its image, but the tips continue to agree.
         """
-        return len(self._latest) == STOOD_FRAMES and any(
-            len(other._latest) == STOOD_FRAMES
-            and is_left_behind(self._latest, other._latest)
+        return len(self._followed.lines) == STOOD_FRAMES and any(
+            len(other._followed.lines) == STOOD_FRAMES
+            and is_left_behind(self._followed.lines, other._followed.lines)
             and not shared.share_tip(self, other)
             for other in others
         )
@@ -590,10 +645,10 @@ class HandView:
         in this frame, as a bent one, is supported. A newcomer in another view supports nothing that
         was here before: a pattern on the table may agree with it by chance.
         """
-        if not self.has_rival or self._track is None:
+        if not self.has_rival or self._followed.track is None:
             return False
         if not self.shows_finger:
-            return self._track.status == "tracking"
+            return self._followed.track.status == "tracking"
         return any(
             shared.are_one(self, other) and not (other.has_rival or other.has_newcomer)
             for other in others
@@ -605,25 +660,15 @@ class HandView:
         A pattern on the table is identified as such within a few frames.
         """
         first = self._first_hand
-        if first is None or first.is_proven or first.has_second_template or self._is_table:
+        if first is None or first.is_proven or first.has_second_template or self._followed.is_table:
             return
         if not self.shows_finger:
             return
         if any(other.has_newcomer and shared.can_be_one(self, other) for other in others):
             first.accept_from_view()
 
-    def _release(self) -> None:
-        """Reset: follow nothing and search the whole image."""
-        self._tracker, self._track, self._unsupported_frames, self._is_table = None, None, 0, False
-        self._alone_frames, self._no_point_frames = 0, 0
-        self._flat_frames, self._missed_frames, self._doubtful_frames = 0, 0, 0
-        self._extension = None
-        self._flanks.forget()
-        self._tip.forget()
-        self._stripe_frames = 0
-        self._foreshortening = None
-        self._latest.clear()
-        self._last_seen = None
-        self._memory = Memory()
+    def reject(self) -> None:
+        """Reject the followed finger, and search the whole image."""
+        self._followed = Followed()
         self.missing = Status.LOST
         self.search.stop()

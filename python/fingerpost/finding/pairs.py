@@ -61,11 +61,9 @@ class Viewpoint:
         b = np.array([z[0] * z[1], z[0] ** 2 - z[1] ** 2])
         inverse_square = -(a @ b) / max(a @ a, np.finfo(float).tiny)
         f_px = 1.0 / np.sqrt(inverse_square) if inverse_square > 0.0 else np.inf
-        if lens is not None:
-            f_px = lens.fx
+        focal_px = np.array([lens.fx, lens.fy] if lens is not None else [f_px, f_px])
         # Beyond this a parallel projection is accurate enough.
-        f_px = min(f_px, MAX_FOCAL_LENGTH * max(size_px))
-        T[:2] /= f_px
+        T[:2] /= np.minimum(focal_px, MAX_FOCAL_LENGTH * max(size_px))[:, None]
         T /= np.sqrt(np.linalg.norm(T[:, 0]) * np.linalg.norm(T[:, 1]))
         rotation = np.column_stack([T[:, 0], T[:, 1], np.cross(T[:, 0], T[:, 1])])
         if abs(np.linalg.det(rotation)) < np.finfo(float).eps:

@@ -34,10 +34,6 @@ class TipTest:
     """
 
     def __init__(self) -> None:
-        self.forget()
-
-    def forget(self) -> None:
-        """Reset: another finger will be followed, or none."""
         self._ahead, self._frames = 0.0, 0
 
     @property
