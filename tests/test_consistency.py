@@ -14,7 +14,16 @@ from fingerpost.doctor import examine
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import Pointer, steps
 from fingerpost.pointing import Status
-from fingerpost.simulate import Background, DevicePose, Placement, SimulatedRig, Workspace
+from fingerpost.simulate import (
+    Background,
+    DevicePose,
+    Hand,
+    Placement,
+    PoseSampler,
+    Sensor,
+    SimulatedRig,
+    Workspace,
+)
 from fingerpost.simulated_rig_file import rig_from_simulation
 
 SHEET_ON_WOOD = Background(texture="wood", clutter=20.0, sheet=90.0)
@@ -151,6 +160,27 @@ def test_a_visible_hand_is_no_mistake_of_a_correct_rig(background, seed):
     )
     pictures = simulated.render(pose, rng=seed).images
     assert Scenery(rig_from_simulation(simulated), pictures).mistake() is None
+
+
+@pytest.mark.parametrize("seed", [2, 3, 8])
+def test_points_beside_the_corners_of_a_noisy_wooden_table_are_no_mistake(seed):
+    """Wood has 150 corners in a picture; one is near every point, wherever the points are."""
+    background, sensor = Background(texture="wood", seed=seed), Sensor(noise=4.0)
+    simulated = SimulatedRig(device=Hand(), background=background, sensor=sensor)
+    rng = np.random.default_rng(seed)
+    pictures = simulated.render(PoseSampler(simulated).draw(rng), rng=rng).images
+    scenery = Scenery(rig_from_simulation(simulated), pictures)
+    assert scenery.mistake() is None
+    assert scenery.agreement() < 0.8  # or the texture would leave nothing to decide
+
+
+@pytest.mark.parametrize("words", ["upwards", "2 times as large"])
+def test_a_faint_sheet_shows_a_mistake_by_its_corners_alone(words):
+    rig, pictures = pictured(Background(sheet=13.0), seed=0)
+    wrong = with_points(rig, {k: MISTAKES[words](given(rig)[k]) for k in (0, 1)})
+    mistake = Scenery(wrong, pictures).mistake()
+    assert words in mistake.what
+    assert not mistake.is_certain
 
 
 @pytest.mark.parametrize("height_mm", [-25.0, 25.0])

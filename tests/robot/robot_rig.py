@@ -11,7 +11,7 @@ from unittest import mock
 
 import numpy as np
 
-from fingerpost.robot import arm
+from fingerpost.robot import arm, scorbot
 from fingerpost.robot.acl import ABORT
 from fingerpost.robot.emulator.acl import AclController, AclStyle
 from fingerpost.robot.emulator.ports import ArmTime, Emulator, Port, PtyPort
@@ -32,11 +32,13 @@ PATIENCE_S = 1.0
 """Margin that a driver adds to the duration of a motion, in real time. The default of five seconds
 of arm time is shorter than a thread may have to wait on a loaded machine."""
 
+PATIENT_S = PATIENCE_S * TIME_SCALE
+"""The same in arm time."""
+
 
 def patience() -> contextlib.AbstractContextManager[object]:
     """Set the drivers' time margins, some seconds of a real arm, to `PATIENCE_S`."""
-    span_s = PATIENCE_S * TIME_SCALE
-    return mock.patch.multiple(arm, MOVE_MARGIN_S=span_s, READING_TIMEOUT_S=span_s)
+    return mock.patch.multiple(arm, MOVE_MARGIN_S=PATIENT_S, READING_TIMEOUT_S=PATIENT_S)
 
 
 def fast_options(**options: object) -> ScorbotOptions:
@@ -187,7 +189,8 @@ def scorbot_rig(
         )
         try:
             if connect:
-                robot.connect()
+                with mock.patch.object(scorbot, "CONNECT_TIMEOUT_S", PATIENT_S):
+                    robot.connect()
                 if home:
                     robot.home()
             yield Rig(controller, port, emulator, robot, tape, clock)
