@@ -47,7 +47,7 @@ from fingerpost.finding.finger import (
 )
 from fingerpost.finding.first_hand import FirstHand
 from fingerpost.finding.flanks import Flanks, ShadingFit, sigma_from_blur_asymmetry
-from fingerpost.finding.foreground import may_have_come
+from fingerpost.finding.foreground import any_foreground
 from fingerpost.finding.length import TemplateExtension
 from fingerpost.finding.pairs import TIP_POWER, foreshortenings, reaches_farther, same_tip
 from fingerpost.finding.pixel_tests import blur_asymmetry, widening
@@ -227,12 +227,12 @@ def test_a_hand_may_have_come_while_the_background_is_unknown_or_covered(scene):
     for k in range(30):
         table = Frame(k, k / FPS, rig.render(AWAY, rng=rng).images[0])
         behind.look(table.grey(), table.colour())
-        assert may_have_come(behind, table) is not behind.is_known
+        assert any_foreground(behind, table) is not behind.is_known
         behind.learn(table.grey(), table.colour())
     assert behind.is_known
     hand = Frame(30, 30 / FPS, rig.render(OVER_THE_TABLE, rng=rng).images[0])
     behind.look(hand.grey(), hand.colour())
-    assert may_have_come(behind, hand)
+    assert any_foreground(behind, hand)
 
 
 @pytest.mark.parametrize("view", [0, 1])
@@ -259,7 +259,11 @@ def test_a_finger_that_moves_along_a_viewing_ray_is_not_rejected(view):
 
 def test_a_newcomer_at_the_template_does_not_replace_a_moving_finger(monkeypatch):
     # It may be the thumb of a hand that has moved past its template.
-    for question, answer in (("has_come", True), ("has_come_whole", True), ("stands_out", False)):
+    for question, answer in (
+        ("template_is_foreground", True),
+        ("whole_finger_is_foreground", True),
+        ("stands_out", False),
+    ):
         monkeypatch.setattr(first_hand, question, lambda *_, answer=answer: answer)
 
     def line(u_px: float, angle_rad: float = 0.0) -> SimpleNamespace:
@@ -296,7 +300,7 @@ def test_motion_along_its_own_axis_does_not_prove_a_hand(
     monkeypatch, gone_px, turned_rad, is_proven
 ):
     # A template at an edge of the table slides along it when a hand covers a part of the edge.
-    for question, answer in (("has_come", False), ("stands_out", True)):
+    for question, answer in (("template_is_foreground", False), ("stands_out", True)):
         monkeypatch.setattr(first_hand, question, lambda *_, answer=answer: answer)
     view = FirstHand(LearnedBackground(), None, lambda: None)
     frame = Frame(0, 0.0, np.zeros((240, 640), np.uint8))
@@ -831,7 +835,7 @@ def test_a_finger_followed_by_another_view_is_accepted_as_short_sooner(
         (30.0, {}, False, True),
         (30.0, {"frames": 5}, False, False),
         (30.0, {"score": 0.3}, False, False),
-        (30.0, {"hand": 0.2}, False, False),
+        (30.0, {"widening": 0.2}, False, False),
         (0.0, {"foreground": 1.0}, False, False),
     ],
 )
@@ -843,7 +847,7 @@ def test_static_and_moving_trials_are_distinguished(moved_px, changes, is_static
 
     # The start pose is irrelevant: the fit converges from as far away as the finger's width.
     candidate = SimpleNamespace(start=StartPose((60.0, 80.0), 0.0, 70.0), half_width_px=8.0)
-    known = {"score": 0.9, "foreground": 0.0, "hand": 1.0, "frames": 6, "is_late": False}
+    known = {"score": 0.9, "foreground": 0.0, "widening": 1.0, "frames": 6, "is_late": False}
     trial = Trial(
         candidate,
         None,
@@ -897,28 +901,28 @@ def test_a_late_background_trial_is_accepted_if_it_moves_and_another_view_suppor
     is_late: bool, has_moved: bool, is_supported: bool
 ):
     trial = SimpleNamespace(
-        has_come=False, is_late=is_late, has_moved=has_moved, frames=30, stripe_frames=0
+        is_foreground=False, is_late=is_late, has_moved=has_moved, frames=30, stripe_frames=0
     )
-    rank, has_held = pair_rank(0.8, [trial], False, hand=1.0, is_supported=is_supported)
+    rank, has_held = pair_rank(0.8, [trial], False, least_widening=1.0, is_supported=is_supported)
     assert has_held
     assert (rank > 0.0) == (not is_late or (has_moved and is_supported))
 
 
 def test_a_pair_that_shows_a_stripe_is_rejected_unless_it_is_followed():
     trial = SimpleNamespace(
-        has_come=True, is_late=False, has_moved=True, frames=30, stripe_frames=1
+        is_foreground=True, is_late=False, has_moved=True, frames=30, stripe_frames=1
     )
     for is_current in (False, True):
-        rank, _ = pair_rank(1.0, [trial], is_current, hand=1.0, is_supported=False)
+        rank, _ = pair_rank(1.0, [trial], is_current, least_widening=1.0, is_supported=False)
         assert (rank > 0.0) is is_current
 
 
 def test_a_newcomer_without_a_hand_ranks_below_one_with_a_hand():
     def newcomer(score: float, hand: float) -> tuple[float, bool]:
         trial = SimpleNamespace(
-            has_come=True, is_late=False, has_moved=True, frames=30, stripe_frames=0
+            is_foreground=True, is_late=False, has_moved=True, frames=30, stripe_frames=0
         )
-        return pair_rank(score, [trial], False, hand=hand, is_supported=False)
+        return pair_rank(score, [trial], False, least_widening=hand, is_supported=False)
 
     stick, finger = newcomer(0.8, 0.0), newcomer(0.6, 0.3)
     assert stick[1]
@@ -929,15 +933,19 @@ def test_a_newcomer_without_a_hand_ranks_below_one_with_a_hand():
     assert newcomer(0.4, 0.3)[0] == 0.4
 
 
-@pytest.mark.parametrize("has_come", [False, True])
+@pytest.mark.parametrize("is_foreground", [False, True])
 @pytest.mark.parametrize("is_supported", [False, True])
-def test_a_pair_of_higher_score_needs_fewer_frames(has_come, is_supported):
+def test_a_pair_of_higher_score_needs_fewer_frames(is_foreground, is_supported):
     def frames_needed(score: float) -> int:
         for frames in range(1, 30):
             trial = SimpleNamespace(
-                has_come=has_come, is_late=False, has_moved=True, frames=frames, stripe_frames=0
+                is_foreground=is_foreground,
+                is_late=False,
+                has_moved=True,
+                frames=frames,
+                stripe_frames=0,
             )
-            if pair_rank(score, [trial], False, hand=1.0, is_supported=is_supported)[1]:
+            if pair_rank(score, [trial], False, least_widening=1.0, is_supported=is_supported)[1]:
                 return frames
         raise AssertionError
 
@@ -1314,11 +1322,13 @@ def test_only_digits_of_one_hand_are_compared_by_reach():
     assert reaches_farther(views, digits(rig, *thumb, unknown), index)
 
 
-def tried_digit(seen: FingerDetection, hand: float, *, has_come: bool = True) -> SimpleNamespace:
+def tried_digit(
+    seen: FingerDetection, hand: float, *, is_foreground: bool = True
+) -> SimpleNamespace:
     return SimpleNamespace(
         seen=seen,
-        hand=hand,
-        has_come=has_come,
+        widening=hand,
+        is_foreground=is_foreground,
         stripe_frames=0,
         frames=30,
         is_late=False,
@@ -1338,14 +1348,14 @@ def trying(viewpoint: Viewpoint, *trials: SimpleNamespace) -> SimpleNamespace:
         search=search,
         track=None,
         is_searching=True,
-        is_sure=True,
+        is_validated=True,
         may_follow=lambda _trial: True,
     )
 
 
-@pytest.mark.parametrize("has_come", [False, True])
+@pytest.mark.parametrize("is_foreground", [False, True])
 @pytest.mark.parametrize("thumb_in", [(0, 1), (0,), (1,)])
-def test_the_index_finger_precedes_the_thumb(thumb_in, has_come):
+def test_the_index_finger_precedes_the_thumb(thumb_in, is_foreground):
     """Although the thumb scores more, in one view or both, and hides the widening of the index."""
     rig = SimulatedRig()
     index = digits(rig, TIP_MM, AIM_MM)
@@ -1354,9 +1364,11 @@ def test_the_index_finger_precedes_the_thumb(thumb_in, has_come):
     views = []
     for k, camera in enumerate(rig.cameras):
         hand = 0.2 if k in thumb_in else 1.0
-        trials = [tried_digit(index[k]._replace(score=0.75), hand, has_come=has_come)]
+        trials = [tried_digit(index[k]._replace(score=0.75), hand, is_foreground=is_foreground)]
         if k in thumb_in:
-            trials.append(tried_digit(thumb[k]._replace(score=0.9), 1.0, has_come=has_come))
+            trials.append(
+                tried_digit(thumb[k]._replace(score=0.9), 1.0, is_foreground=is_foreground)
+            )
         views.append(trying(viewpoint_of(camera, rig), *trials))
     first, *_ = ranked_pairs(views)
     pair, has_held = first
@@ -1377,7 +1389,7 @@ def test_a_trial_beside_another_views_finger_is_scored_by_its_last_direction():
             shape_names=("half_width [px]",),
         ),
         is_searching=False,
-        is_sure=True,
+        is_validated=True,
     )
     seen = digit(rig.cameras[0], TIP_MM, AIM_MM)
     lost = LastSeen(seen.angle_rad, time_s=0.0)
@@ -1410,9 +1422,9 @@ def test_a_pair_is_behind_one_of_farther_reach_with_comparable_score_and_foregro
     assert not is_behind([], pair(thumb, 0.9), pair(thumb, 0.9))
     assert not is_behind([], pair(thumb, 0.9), pair(index, 0.4))
     assert not is_behind([], pair(thumb, 0.9), pair(index, 0.9, view=1))
-    index.has_come = False
+    index.is_foreground = False
     assert not is_behind([], pair(thumb, 0.9), pair(index, 0.9))
-    thumb.has_come = False
+    thumb.is_foreground = False
     assert is_behind([], pair(thumb, 0.9), pair(index, 0.9))
 
 
@@ -1885,8 +1897,7 @@ def test_shading_gives_the_axis_of_a_half_visible_finger(light_rad):
     off_px, off_rad = np.sqrt(np.diag(line.covariance))
     assert 0.2 < off_px < 1.0
     assert np.radians(0.5) < off_rad < np.radians(3.0)
-    flanks.forget()
-    assert flanks.axis_correction == AxisCorrection()
+    assert Flanks().axis_correction == AxisCorrection()
 
 
 @pytest.mark.parametrize(("light_rad", "table"), [(0.0, 20.0), (0.5, 220.0), (-0.9, 220.0)])
@@ -1975,7 +1986,7 @@ def test_a_flank_that_fades_into_the_table_is_corrected_or_doubted():
         )
     )
     for sigma_px, least, most in ((1.0, 0.0, 0.0), (9.0, 0.2, 1.0)):
-        view.search.found, view._flanks = found, Flanks()
+        view.search.found, view._followed.flanks = found, Flanks()
         view.test_flanks(painted((1.0, sigma_px), ([60.0], [150.0])))
         assert least <= np.hypot(view.axis_correction.offset, view.axis_correction.sigma) <= most
         assert view.axis_correction.offset >= 0.0

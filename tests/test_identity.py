@@ -89,7 +89,7 @@ def test_grey_hands_are_compared_by_brightness_and_width():
 
 def a_view(*, shows=True, sure=True, recognised=False, presented=None):
     return SimpleNamespace(
-        shows_finger=shows, is_sure=sure, is_recognised=recognised, is_presented=presented
+        shows_finger=shows, is_validated=sure, is_recognised=recognised, is_presented=presented
     )
 
 

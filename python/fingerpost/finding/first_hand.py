@@ -21,7 +21,11 @@ from fingerpost.finding.finger import (
     has_moved_across,
     moves,
 )
-from fingerpost.finding.foreground import has_come, has_come_whole, stands_out
+from fingerpost.finding.foreground import (
+    stands_out,
+    template_is_foreground,
+    whole_finger_is_foreground,
+)
 
 MIN_TABLE_FLATNESS = 0.4
 """Running mean of the flatness from which a pattern on the table is followed. A hand has 0 in
@@ -57,7 +61,7 @@ class FirstHand:
     ) -> None:
         self.is_proven = False
         """Whether the view has followed a hand; the initial template then waits no more."""
-        self.has_come = False
+        self.entered_free_template = False
         """Whether the initial template's region is foreground and nothing was followed yet."""
         self.is_newcomer = False
         """Whether the hand has come after the background was learned."""
@@ -96,7 +100,7 @@ class FirstHand:
 
     def restart_waiting(self) -> ContourTracker:
         """Reset; return a tracker with the initial template."""
-        self._earliest, self._raised_frames, self.has_come = None, 0, False
+        self._earliest, self._raised_frames, self.entered_free_template = None, 0, False
         self._latest.clear()
         return self._waiting()
 
@@ -125,12 +129,12 @@ class FirstHand:
             then a newcomer in this view alone is an object that covers the hand.
         """
         had_rival, self.has_rival = self.has_rival, False
-        self.has_come = False
-        if self.is_proven or not has_come(self._background, frame, self._start):
+        self.entered_free_template = False
+        if self.is_proven or not template_is_foreground(self._background, frame, self._start):
             self._second = None
             return None
         if not self._latest:
-            self.has_come = True
+            self.entered_free_template = True
             return None
         if followed is not None and moves(self._latest):
             self._second = None
@@ -148,7 +152,7 @@ class FirstHand:
         if self.body.shows_as(line):
             self._second = None
             return None
-        if not has_come_whole(self._background, frame, line):
+        if not whole_finger_is_foreground(self._background, frame, line):
             # It may be an object that covers part of the hand that is followed.
             self._second = None
             return None
@@ -173,7 +177,7 @@ class FirstHand:
             return
         earliest = self._earliest = self._earliest or line
         self._latest.append(line)
-        if self.has_come:
+        if self.entered_free_template:
             self.is_proven = self.is_newcomer = True
         elif (
             self._second is None

@@ -8,25 +8,25 @@ from fingerpost._core import Background, FingerLine, StartPose
 from fingerpost.capture import Frame
 from fingerpost.finding.finger import HALF_WIDTH, Array, places_about
 
-MIN_COME_PART = 0.3
+MIN_TEMPLATE_PART = 0.3
 """Least foreground probability of an initial template's region for which a hand may be there."""
 
 
-def has_come(background: Background, frame: Frame, start: StartPose) -> bool:
+def template_is_foreground(background: Background, frame: Frame, start: StartPose) -> bool:
     """Whether an initial template's region is foreground."""
     ahead = np.array([np.cos(start.angle_rad), np.sin(start.angle_rad)])
     normal_step = HALF_WIDTH * np.array([-ahead[1], ahead[0]])
     behind = np.linspace(0.1, 1.0, 10)[:, None, None] * ahead
     across = np.array([-0.7, 0.0, 0.7])[:, None] * normal_step
     places = start.tip_px + start.length_px * (across - behind)
-    return _likely(background, frame, places.reshape(-1, 2)) > MIN_COME_PART
+    return _likely(background, frame, places.reshape(-1, 2)) > MIN_TEMPLATE_PART
 
 
 MIN_WHOLE_PART = 0.8
 """Least foreground probability of a finger's whole inside for which all of it is foreground."""
 
 
-def has_come_whole(background: Background, frame: Frame, line: FingerLine) -> bool:
+def whole_finger_is_foreground(background: Background, frame: Frame, line: FingerLine) -> bool:
     """Whether the whole inside of a finger is known to be foreground.
 
     An object laid on the table in front of a hand leaves background between its edges.
@@ -44,19 +44,19 @@ MIN_FOREGROUND = 0.5
 
 
 GRID = 40, 30
-MIN_COME_PLACES = 2
+MIN_FOREGROUND_PLACES = 2
 """Size of a grid over the image (columns, rows), and least number of its points in the foreground
 for which a hand may have come: the smallest hand with its arm covers more."""
 
 
-def may_have_come(background: Background, frame: Frame) -> bool:
+def any_foreground(background: Background, frame: Frame) -> bool:
     """Whether anything is foreground; True while the background is unknown."""
     if not background.is_known:
         return True
     size_px = np.array(frame.image.shape[1::-1])
     places = (np.indices(GRID).reshape(2, -1).T + 0.5) * (size_px / GRID)
     likely = background.foreground(frame.grey(), places, colour=frame.colour())
-    return int((likely >= MIN_FOREGROUND).sum()) >= MIN_COME_PLACES
+    return int((likely >= MIN_FOREGROUND).sum()) >= MIN_FOREGROUND_PLACES
 
 
 def stands_out(background: Background, frame: Frame, line: FingerLine) -> bool:

@@ -27,7 +27,7 @@ from fingerpost.finding.finger import (
 )
 from fingerpost.finding.first_hand import FirstHand
 from fingerpost.finding.flanks import Flanks
-from fingerpost.finding.foreground import is_background, may_have_come
+from fingerpost.finding.foreground import any_foreground, is_background
 from fingerpost.finding.identity import Appearance, Memory
 from fingerpost.finding.length import TemplateExtension, length_px
 from fingerpost.finding.one_finger import PairTests
@@ -226,7 +226,7 @@ class HandView:
     @property
     def _misses_hand(self) -> bool:
         """Whether another view has a hand that has not come to this view's template."""
-        return self._is_elsewhere and not (self.is_sure or self.shows_finger)
+        return self._is_elsewhere and not (self.is_validated or self.shows_finger)
 
     @property
     def shows_finger(self) -> bool:
@@ -358,7 +358,7 @@ class HandView:
         return self._first_hand is not None and self._first_hand.has_rival
 
     @property
-    def is_sure(self) -> bool:
+    def is_validated(self) -> bool:
         """Whether its finger, if any, is validated as a hand and cannot be the table."""
         return self._first_hand is None or self._first_hand.is_proven
 
@@ -374,11 +374,11 @@ class HandView:
     def follow(self, frame: Frame, track: Track) -> None:
         """Store the tracker's result for the view's frame."""
         self.may_show_body = self._body.shows_as(track.finger_line)
-        if self.may_show_body and not self.is_sure:
+        if self.may_show_body and not self.is_validated:
             self.judge_body(is_hand=False)
             return
         if self._is_other_hand(frame, track):
-            self._abandon(had_hand=self.is_sure, keeps_memory=True)
+            self._abandon(had_hand=self.is_validated, keeps_memory=True)
             return
         self._count_missed(track)
         self._count_waiting(frame, track)
@@ -392,15 +392,15 @@ class HandView:
                 self._followed.stripe_frames, frame, self._followed.track
             )
         if self._followed.stripe_frames >= STRIPE_FRAMES:
-            self._abandon(had_hand=self.is_sure)
+            self._abandon(had_hand=self.is_validated)
             return
         if self._first_hand is not None:
             self._first_hand.prove(frame, track.finger_line)
         # The jump of a template from the table to the hand is not the hand's motion.
-        if track.finger_line is not None and self.is_sure:
+        if track.finger_line is not None and self.is_validated:
             self._followed.lines.append(track.finger_line)
             self._followed.last_seen = LastSeen(track.finger_line.angle_rad, frame.time_s)
-        if track.finger_line is not None and self.is_sure and not self.may_show_body:
+        if track.finger_line is not None and self.is_validated and not self.may_show_body:
             self._learn_appearance(frame, track.finger_line)
 
     def _is_other_hand(self, frame: Frame, track: Track) -> bool:
@@ -422,7 +422,7 @@ class HandView:
         self._followed.doubtful.update(is_hand is None)
         if is_hand is False or self._followed.doubtful.frames >= ALONE_FRAMES:
             self.may_show_body = False
-            self._abandon(had_hand=self.is_sure, keeps_memory=True)
+            self._abandon(had_hand=self.is_validated, keeps_memory=True)
 
     @property
     def tip_px(self) -> tuple[float, float] | None:
@@ -438,7 +438,7 @@ class HandView:
     def _count_waiting(self, frame: Frame, track: Track) -> None:
         """Count the consecutive frames with foreground but no hand at the template."""
         is_waiting = track.status == "acquiring"
-        may_be_elsewhere = is_waiting and may_have_come(self.search.background, frame)
+        may_be_elsewhere = is_waiting and any_foreground(self.search.background, frame)
         self._followed.waiting.update(may_be_elsewhere)
 
     def _count_missed(self, track: Track) -> None:
@@ -501,7 +501,7 @@ class HandView:
         The frame is the last one of `view_frame`.
         """
         shows_finger = self.shows_finger or self.search.found is not None
-        return not (shows_finger or may_have_come(self.search.background, frame))
+        return not (shows_finger or any_foreground(self.search.background, frame))
 
     def observe(self, frame: Frame | None, *, rests: bool = False) -> None:
         """Learn the background from the tracker's last frame, and search it if required.
@@ -519,7 +519,7 @@ class HandView:
         self._followed.is_table = self._shows_background(frame)
         if self._first_hand is None and self._followed.is_table:
             self.reject()
-        self.search.learn(frame, self.track if self.is_sure else None)
+        self.search.learn(frame, self.track if self.is_validated else None)
         if not self.is_searching:
             self.search.stop()
         elif not rests:
@@ -548,7 +548,9 @@ class HandView:
     @property
     def _stands_free(self) -> bool:
         """Whether the followed finger was not part of the background when that was learned."""
-        return self.is_sure or (self._first_hand is not None and self._first_hand.has_come)
+        return self.is_validated or (
+            self._first_hand is not None and self._first_hand.entered_free_template
+        )
 
     def settle(self) -> None:
         """Follow the accepted trial for good, once it is proven."""
@@ -596,7 +598,9 @@ class HandView:
         self._recognise(others, shared)
         # A hand that has come into another view is foreground in this one, too.
         is_table = (
-            self._followed.is_table and not self.is_sure and any(o.has_newcomer for o in others)
+            self._followed.is_table
+            and not self.is_validated
+            and any(o.has_newcomer for o in others)
         )
         self._followed.table.update(is_table)
         return not (

@@ -171,7 +171,7 @@ class IdentifiedView(Protocol):
         """Whether it has a finger line in this frame."""
 
     @property
-    def is_sure(self) -> bool:
+    def is_validated(self) -> bool:
         """Whether its finger, if any, is validated as a hand and cannot be the table."""
 
     @property
@@ -200,7 +200,7 @@ class Identity:
             if not self._is_followed and not self._is_known(following, time_s):
                 self.hand, self._was_held_up = Hand(self.hand.number + 1), False
             self._look_at_template(following)
-            is_presented = self._was_held_up and all(view.is_sure for view in following)
+            is_presented = self._was_held_up and all(view.is_validated for view in following)
             if is_presented and not self.hand.is_presented:
                 self.hand = self.hand._replace(is_presented=True)
             self._seen_s = time_s

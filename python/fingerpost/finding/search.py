@@ -188,7 +188,7 @@ class HandSearch:
                 line=line,
                 score=float(score),
                 foreground=candidate.foreground,
-                hand=widening(frame, line, candidate.half_width_px),
+                widening=widening(frame, line, candidate.half_width_px),
                 is_late=is_late,
                 extension=TemplateExtension(self._tracker_at, half_width_px, self._known_length),
             )
@@ -204,7 +204,7 @@ class HandSearch:
             return
         self._unconfirmed_frames = 0
         line = trial.track.finger_line
-        if trial is not self.found and line is not None and not trial.has_come:
+        if trial is not self.found and line is not None and not trial.is_foreground:
             # It was present from the start: the background learned there is the hand.
             self.background.forget(hand_region(line))
         self.found = trial

@@ -86,7 +86,7 @@ class Trial:
         Its first and last finger line.
     score, foreground
         Running means of the finger score and of the foreground probability, 0 to 1.
-    hand
+    widening
         Running mean of the widening to a hand behind the finger, 0 to 1.
     is_late
         Whether it was started long after the background became known.
@@ -109,7 +109,7 @@ class Trial:
     line: FingerLine
     score: float
     foreground: float
-    hand: float
+    widening: float
     is_late: bool
     extension: TemplateExtension
     frames: int = 1
@@ -124,7 +124,7 @@ class Trial:
         return is_lost or self.stripe_frames >= STRIPE_FRAMES
 
     @property
-    def has_come(self) -> bool:
+    def is_foreground(self) -> bool:
         """Whether it is foreground, and so has come into view."""
         return self.foreground >= MIN_FOREGROUND
 
@@ -156,12 +156,12 @@ class Trial:
     @property
     def is_static(self) -> bool:
         """Whether it is background and has not moved since its start."""
-        return not self.has_come and self._motion < KEPT_PLACE
+        return not self.is_foreground and self._motion < KEPT_PLACE
 
     @property
     def is_moving(self) -> bool:
         """Whether it has held, has moved and has a hand behind it: no part of the table."""
-        is_hand = self.score >= MOVER_SCORE and self.hand >= MIN_WIDENING
+        is_hand = self.score >= MOVER_SCORE and self.widening >= MIN_WIDENING
         return is_hand and self.frames >= MOVER_FRAMES and self._motion > MOVED_ON
 
     @property
@@ -173,7 +173,7 @@ class Trial:
     @property
     def is_proven(self) -> bool:
         """Whether it has moved, or has been foreground for `PROVEN_FRAMES`."""
-        has_stood = self.has_come and self.frames >= PROVEN_FRAMES
+        has_stood = self.is_foreground and self.frames >= PROVEN_FRAMES
         return self.track.finger_line is not None and (self.has_moved or has_stood)
 
     def update(self, frame: Frame, background: Background) -> None:
@@ -182,7 +182,7 @@ class Trial:
             frame.grey(),
             frame.time_s,
             frame.colour(),
-            background=background if self.has_come else None,
+            background=background if self.is_foreground else None,
         )
         self.stripe_frames = count_stripes(self.stripe_frames, frame, self.track)
         if self.track.finger_line is None:
@@ -219,8 +219,8 @@ class Trial:
             self.score += (1.0 - SCORE_DECAY) * (likeness * factor - self.score)
         foreground = np.nan_to_num(foreground_part(background, frame, line))
         self.foreground += (1.0 - SCORE_DECAY) * (float(foreground) - self.foreground)
-        hand = widening(frame, line, half_width_px)
-        self.hand += (1.0 - SCORE_DECAY) * (hand - self.hand)
+        now = widening(frame, line, half_width_px)
+        self.widening += (1.0 - SCORE_DECAY) * (now - self.widening)
 
     def is_at(self, start: StartPose, half_width_px: float) -> bool:
         """Whether it follows the same finger as a candidate at this pose."""
@@ -265,7 +265,12 @@ CURRENT_PAIR_FACTOR = 1.25
 
 
 def pair_rank(
-    score: float, trials: Sequence[Trial], is_current: bool, *, hand: float, is_supported: bool
+    score: float,
+    trials: Sequence[Trial],
+    is_current: bool,
+    *,
+    least_widening: float,
+    is_supported: bool,
 ) -> tuple[float, bool]:
     """Return the rank of a pair, 0 if it cannot be the hand, and whether it has held long enough.
 
@@ -279,23 +284,25 @@ def pair_rank(
         Two, or one where the other view follows its finger for good.
     is_current
         Whether the pair is the accepted one.
-    hand
+    least_widening
         Widening to a hand, in the view where it is less, 0 to 1.
     is_supported
         Whether the other view's finger is validated as a hand: then a trial that has moved is no
         background, though the background may have been learned with the hand in it.
     """
-    has_come = all(trial.has_come for trial in trials)
-    if has_come:
-        score *= 1.0 - NO_WIDENING_PENALTY * (1.0 - min(hand / MIN_WIDENING_FOREGROUND, 1.0))
+    is_foreground = all(trial.is_foreground for trial in trials)
+    if is_foreground:
+        score *= 1.0 - NO_WIDENING_PENALTY * (
+            1.0 - min(least_widening / MIN_WIDENING_FOREGROUND, 1.0)
+        )
     else:
-        score *= min(hand / MIN_WIDENING, 1.0)
-    rank = score if has_come else 0.5 * score
+        score *= min(least_widening / MIN_WIDENING, 1.0)
+    rank = score if is_foreground else 0.5 * score
     if is_current:
         return CURRENT_PAIR_FACTOR * rank, True
-    least, most = MIN_FRAMES[has_come]
+    least, most = MIN_FRAMES[is_foreground]
     too_new = min(trial.frames for trial in trials) < score * least + (1.0 - score) * most
-    too_late = not has_come and any(
+    too_late = not is_foreground and any(
         trial.is_late and not (is_supported and trial.has_moved) for trial in trials
     )
     may_be_stripe = any(trial.stripe_frames > 0 for trial in trials)

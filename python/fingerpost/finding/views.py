@@ -40,7 +40,7 @@ class SearchingView(FollowingView, Protocol):
         """Whether the whole image is to be searched."""
 
     @property
-    def is_sure(self) -> bool:
+    def is_validated(self) -> bool:
         """Whether its finger, if any, is validated as a hand and cannot be the table."""
 
     def may_follow(self, trial: Trial) -> bool:
@@ -144,9 +144,9 @@ class TriedPair:
     is_current: bool
 
     @property
-    def hand(self) -> float:
+    def least_widening(self) -> float:
         """Widening to a hand, in the view where it is less, 0 to 1."""
-        return min(trial.hand for trial in self.trials.values())
+        return min(trial.widening for trial in self.trials.values())
 
 
 MIN_LIKELY_SCORE = 0.7
@@ -193,8 +193,8 @@ def ranked_pairs(views: Sequence[SearchingView]) -> list[tuple[TriedPair, bool]]
             pair.score,
             list(pair.trials.values()),
             pair.is_current,
-            hand=max(p.hand for p in (pair, *behind[pair])),
-            is_supported=any(views[k].is_sure for k in pair.views if k not in pair.trials),
+            least_widening=max(p.least_widening for p in (pair, *behind[pair])),
+            is_supported=any(views[k].is_validated for k in pair.views if k not in pair.trials),
         )
         if rank > 0.0:
             ranks[pair] = rank, has_held
@@ -245,8 +245,10 @@ def is_behind(views: Sequence[SearchingView], pair: TriedPair, other: TriedPair)
     if other.views != pair.views or other.trials.keys() != pair.trials.keys():
         return False
     differ = [k for k in pair.trials if pair.trials[k] is not other.trials[k]]
-    has_come = all(other.trials[k].has_come or not pair.trials[k].has_come for k in differ)
-    if not differ or not has_come or other.score < MIN_SCORE_RATIO * pair.score:
+    is_foreground = all(
+        other.trials[k].is_foreground or not pair.trials[k].is_foreground for k in differ
+    )
+    if not differ or not is_foreground or other.score < MIN_SCORE_RATIO * pair.score:
         return False
     if len(differ) == len(pair.views):
         i, j = pair.views
