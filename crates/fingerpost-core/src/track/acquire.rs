@@ -5,7 +5,7 @@ use super::appearance::EdgeCue;
 use super::axis_curvature::AxisCurvature;
 use super::fit_result::{FitResult, Refusal};
 use super::foreground_test::ForegroundTest;
-use super::hand::{LastKnown, MOST_COVERED_FRAMES, SearchPlan};
+use super::hand::{LastKnown, MOST_COVERED_FRAMES};
 use super::hypotheses::Selection;
 use super::initialise::TemplateInitialiser;
 use super::motion_prediction::misfit;
@@ -16,6 +16,7 @@ use super::scene::Scene;
 use super::separation::stands_out;
 use super::shape::Shape;
 use super::silhouette::Shaft;
+use super::stage::SearchPlan;
 use super::status::Status;
 use super::tracker::{ContourTracker, LOST_REACH, NEAR_PX, Phase};
 use super::validation::BendState;
@@ -280,10 +281,11 @@ impl ContourTracker {
             let turned = self.run_ribbon::<3>(frame, &x, Limb::Finger, plan, None)?;
             self.hand.acquired = x;
             let held = self.held::<5>(&x, COLOUR_REFIT_SLACK);
-            let finger = self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, plan, Some(&held))?;
+            let finger =
+                self.run_ribbon::<5>(frame, &turned.shape, Limb::Finger, plan, Some(&held))?;
             let found = FitResult::from(finger);
             if found.is_accepted(&self.options.acquire.accept) {
-                self.hand.shape = Shape::Ribbon(with_thumb_of(&x, &finger.x));
+                self.hand.shape = Shape::Ribbon(with_thumb_of(&x, &finger.shape));
                 let now = self.finger_separation(frame);
                 let explained = found.explains_finger();
                 if now < KEPT_SEPARATION * separation_before

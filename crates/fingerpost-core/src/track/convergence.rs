@@ -3,12 +3,13 @@
 use super::appearance::{AppearanceModel, Contour, EdgeCue, SearchModel};
 use super::design_effect::design_effect;
 use super::estimate::{MAX_DOF, ShapeEstimate};
+use super::fit_result::FitResult;
 use super::normals::{KERNEL_REACH_PX, Normals, SearchedLine, at_edge};
 use super::options::{MIN_HALF_LENGTH_PX, TrackerOptions};
 use super::pyramid::PyramidLevel;
 use super::scene::Scene;
 use super::silhouette::{Shaft, Silhouette};
-use super::stage::{Converged, EdgeCounts, Fit, FitStage, SUPPORT_PX, SURE, StageEnd, Support};
+use super::stage::{EdgeCounts, Fit, FitStage, SUPPORT_PX, SURE, StageEnd, Support};
 use crate::Result;
 use crate::appearance::discriminant::{DiscriminantImage, Mixture, region_about};
 use crate::axis::Finger;
@@ -315,43 +316,45 @@ impl Convergence {
         x: SVector<f64, D>,
         stage: &FitStage<'_>,
         believed: Option<&Prior<D>>,
-    ) -> Result<Converged<D>> {
-        let mut half_length_px = stage.half_length_px;
-        let mut at = Converged::at(x);
+    ) -> Result<FitResult<SVector<f64, D>>> {
+        let plan = &stage.plan;
+        let mut half_length_px = plan.half_length_px;
+        let mut at = FitResult::unfitted(x);
         let mut last = None;
         while at.iterations < self.max_iterations {
             at.iterations += 1;
-            let pose = space.pose(&at.x);
-            let searched_px = half_length_px.min(stage.edges_within_px);
+            let pose = space.pose(&at.shape);
+            let searched_px = half_length_px.min(plan.edges_within_px);
             self.measure(frame, &pose, stage, searched_px)?;
-            let prior = believed.map(|b| Prior { mean: b.mean - at.x, information: b.information });
+            let prior =
+                believed.map(|b| Prior { mean: b.mean - at.shape, information: b.information });
             let samples = self.visible.iter().map(|&i| &stage.samples[i]);
             let measured = samples.zip(self.normals.lines()).zip(self.normals.found());
             let equations = linearise(space, &pose, measured, &mut self.equations)?;
             let far_px = (half_length_px - MIN_HALF_LENGTH_PX).max(0.0) * FAR_SCALE;
             let least_px = self.fitter.options().min_scale_px.max(far_px);
-            let scales_px = (least_px, stage.most_scale_px);
+            let scales_px = (least_px, stage.max_scale_px);
             let fit = self.fitter.solve_with_scale(&equations, prior.as_ref(), scales_px);
             if fit.outcome != Outcome::Determined {
-                return Ok(Converged { fit: None, ..at });
+                return Ok(FitResult { fit: None, ..at });
             }
             let moved_px = equations.largest_motion(&fit.step);
-            at.x += fit.step;
+            at.shape += fit.step;
             last = Some(fit);
-            if moved_px < stage.rest.px() {
+            if moved_px < plan.rest.px() {
                 at.edges_within_px = self.edges_within_px(moved_px);
                 break;
             }
             if moved_px < half_length_px / 2.0 {
                 let shrunk_px = half_length_px * SHRINK;
                 // Within the window, one step brings the contour most of the way.
-                let remaining_px = stage.window.map_or(shrunk_px, |_| LEFT * moved_px);
+                let remaining_px = plan.window.map_or(shrunk_px, |_| LEFT * moved_px);
                 half_length_px = shrunk_px.min(remaining_px).max(MIN_HALF_LENGTH_PX);
             }
         }
-        if stage.rest != StageEnd::TakenOver {
+        if plan.rest != StageEnd::TakenOver {
             self.mark_agreeing();
-            at.fit = last.map(|fit| self.summarise(space, &at.x, &fit, stage));
+            at.fit = last.map(|fit| self.summarise(space, &at.shape, &fit, stage));
         }
         Ok(at)
     }
@@ -389,7 +392,7 @@ impl Convergence {
         x: &SVector<f64, D>,
         stage: &FitStage<'_>,
     ) -> Result<impl Iterator<Item = (usize, Option<f64>)>> {
-        self.measure(frame, &space.pose(x), stage, stage.half_length_px)?;
+        self.measure(frame, &space.pose(x), stage, stage.plan.half_length_px)?;
         let offsets = self.normals.found().iter().map(|found| Some(found.as_ref().ok()?.offset_px));
         Ok(self.visible.iter().copied().zip(offsets))
     }
@@ -402,28 +405,28 @@ impl Convergence {
         stage: &FitStage<'_>,
         half_length_px: f64,
     ) -> Result<()> {
+        let FitStage { samples, search_model, plan, .. } = stage;
         self.visible.clear();
         self.normals.clear();
-        for (i, sample) in stage.samples.iter().enumerate().step_by(stage.every) {
+        for (i, sample) in samples.iter().enumerate().step_by(plan.every) {
             let placed = pose.place(sample);
             if !pose.is_hidden(sample, &placed) {
                 self.visible.push(i);
                 let line = SearchLine {
                     sample: placed,
-                    half_length_px: stage
+                    half_length_px: plan
                         .window
                         .map_or(half_length_px, |w| w.length(&placed).min(half_length_px)),
-                    polarity: stage.search_model.polarity,
+                    polarity: search_model.polarity,
                 };
                 self.normals.push(sample.part(), line);
             }
         }
         self.left_px.clear();
         self.left_px.resize(self.visible.len(), f64::INFINITY);
-        let FitStage { search_model, scale, own_only, .. } = stage;
         let search_frame =
             self.image.shown(frame, search_model.mixture, || self.normals.region())?;
-        self.normals.search(frame, &search_frame, search_model, *scale, *own_only)
+        self.normals.search(frame, &search_frame, search_model, plan.scale, plan.own_only)
     }
 
     /// Fraction of the visible contour of the first `samples` whose edges are within `within_px` of
@@ -509,7 +512,7 @@ impl Convergence {
             support: self.support(stage.samples),
             residual_rms_px: fit.residual_rms_px,
             rank: fit.rank,
-            own_only: stage.own_only,
+            own_only: stage.plan.own_only,
             edge_cue: stage.search_model.edge_cue,
             by_appearance: stage.search_model.cue.appearance().is_some(),
         }

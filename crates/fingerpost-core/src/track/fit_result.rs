@@ -3,9 +3,10 @@
 use super::appearance::EdgeCue;
 use super::options::AcceptOptions;
 use super::shape::Shape;
-use super::stage::{Converged, Fit, max_residual_px};
+use super::stage::{Fit, max_residual_px};
 use crate::geometry::planar::AffineMap;
-use crate::geometry::ribbon::RIBBON_DOF;
+use crate::geometry::ribbon::RibbonVector;
+
 /// Reason for refusing the fit of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
@@ -25,12 +26,16 @@ pub enum Refusal {
     Misfit,
 }
 
-/// The fit of one frame.
+/// Result of fitting a contour: the shape reached, as a shape vector of one space, as the template
+/// of one model, or as a [`Shape`] of either.
+#[derive(Debug, Clone, Copy)]
 pub(super) struct FitResult<T = Shape> {
     pub(super) shape: T,
+    /// The last fit, if it was determined.
     pub(super) fit: Option<Fit>,
     pub(super) iterations: usize,
-    /// As [`Converged::edges_within_px`].
+    /// For a stage that another continues, bound on the distance of the edges found from the shape
+    /// \[px\]; infinite if too few were found, or without convergence.
     pub(super) edges_within_px: f64,
 }
 
@@ -67,24 +72,38 @@ impl FitResult {
 }
 
 impl<T> FitResult<T> {
-    /// Explained fraction of the finger's contour, 0–1.
+    /// A shape that has not been fitted.
+    pub(super) fn unfitted(shape: T) -> Self {
+        Self { shape, fit: None, iterations: 0, edges_within_px: f64::INFINITY }
+    }
+
+    /// The same result with its shape expressed in another way.
+    pub(super) fn map<U>(self, expressed: impl FnOnce(T) -> U) -> FitResult<U> {
+        let Self { shape, fit, iterations, edges_within_px } = self;
+        FitResult { shape: expressed(shape), fit, iterations, edges_within_px }
+    }
+
+    /// Explained fraction of the finger's visible samples, 0–1; 0 without a fit.
     pub(super) fn explains_finger(&self) -> f64 {
         self.fit.map_or(0.0, |f| f.support.of_finger())
+    }
+
+    /// Number of samples that the fit explains; 0 without a fit.
+    pub(super) fn support(&self) -> usize {
+        self.fit.map_or(0, |f| f.support.supported())
     }
 }
 
 impl From<FitResult<AffineMap>> for FitResult {
     fn from(found: FitResult<AffineMap>) -> Self {
-        let FitResult { shape, fit, iterations, edges_within_px } = found;
-        Self { shape: Shape::Planar(shape), fit, iterations, edges_within_px }
+        found.map(Shape::Planar)
     }
 }
 
-impl From<Converged<RIBBON_DOF>> for FitResult {
-    fn from(found: Converged<RIBBON_DOF>) -> Self {
-        let Converged { x, fit, iterations, edges_within_px } = found;
+impl From<FitResult<RibbonVector>> for FitResult {
+    fn from(found: FitResult<RibbonVector>) -> Self {
         // A band of negative width is no finger.
-        let fit = fit.filter(|_| x[3] > 0.0);
-        Self { shape: Shape::Ribbon(x), fit, iterations, edges_within_px }
+        let fit = found.fit.filter(|_| found.shape[3] > 0.0);
+        FitResult { fit, ..found }.map(Shape::Ribbon)
     }
 }

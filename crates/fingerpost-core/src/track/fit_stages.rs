@@ -2,11 +2,10 @@
 
 use super::appearance::EdgeCue;
 use super::fit_result::FitResult;
-use super::hand::SearchPlan;
 use super::limbs::finger_samples;
 use super::scene::Scene;
 use super::shape::Shape;
-use super::stage::{Converged, Fit, StageEnd, Window};
+use super::stage::{Fit, SearchPlan, StageEnd, Window};
 use super::tracker::{ContourTracker, PINNED_SIGMA};
 use crate::Result;
 use crate::axis::Belief;
@@ -79,7 +78,7 @@ impl ContourTracker {
                     held.information.fixed_view_mut::<3, 3>(0, 0).copy_from(&information);
                 }
                 let finger =
-                    self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, plan, Some(&held))?;
+                    self.run_ribbon::<5>(frame, &turned.shape, Limb::Finger, plan, Some(&held))?;
                 match &finger.fit {
                     Some(fit) if self.hand.kind.has_thumb => {
                         self.fit_thumb(frame, &finger, fit, plan)?.into()
@@ -116,24 +115,14 @@ impl ContourTracker {
         plan: SearchPlan,
     ) -> Result<FitResult<AffineMap>> {
         let Ok((space, x)) = S::through(&from) else {
-            return Ok(FitResult {
-                shape: from,
-                fit: None,
-                iterations: 0,
-                edges_within_px: f64::INFINITY,
-            });
+            return Ok(FitResult::unfitted(from));
         };
         let samples = self.hand.planar(&self.samples);
         let stage = self.hand.stage(samples, frame, plan, self.options.polarity);
         let found = self.convergence.run(frame, &space, x, &stage, None)?;
-        let map = space.pose(&found.x);
-        let is_valid = map.decompose().is_ok();
-        Ok(FitResult {
-            shape: if is_valid { map } else { from },
-            fit: found.fit.filter(|_| is_valid),
-            iterations: found.iterations,
-            edges_within_px: found.edges_within_px,
-        })
+        let found = found.map(|x| space.pose(&x));
+        let is_valid = found.shape.decompose().is_ok();
+        Ok(if is_valid { found } else { FitResult { shape: from, fit: None, ..found } })
     }
 
     /// Whether the planar template has a thumb that determines length and shear; a traced outline
@@ -147,37 +136,37 @@ impl ContourTracker {
     fn fit_thumb(
         &mut self,
         frame: &Scene<'_>,
-        finger: &Converged<RIBBON_DOF>,
+        finger: &FitResult<RibbonVector>,
         fit: &Fit,
         plan: SearchPlan,
-    ) -> Result<Converged<RIBBON_DOF>> {
-        let mut held = self.held::<RIBBON_DOF>(&finger.x, 1.0);
+    ) -> Result<FitResult<RibbonVector>> {
+        let mut held = self.held::<RIBBON_DOF>(&finger.shape, 1.0);
         // The finger is held fixed while the thumb is fitted.
         for i in 0..5 {
-            held.mean[i] = finger.x[i];
+            held.mean[i] = finger.shape[i];
             held.information[(i, i)] = PINNED_SIGMA.powi(-2);
         }
         let plan = SearchPlan { rest: StageEnd::Thumb, ..plan };
-        let whole = self.run_ribbon(frame, &finger.x, Limb::Thumb, plan, Some(&held))?;
+        let whole = self.run_ribbon(frame, &finger.shape, Limb::Thumb, plan, Some(&held))?;
         let Some(with_thumb) = whole.fit else { return Ok(*finger) };
-        if !self.is_thumb(&whole.x, &with_thumb) {
+        if !self.is_thumb(&whole.shape, &with_thumb) {
             // The thumb keeps its place.
-            return Ok(Converged {
+            return Ok(FitResult {
                 fit: Some(Fit { counts: with_thumb.counts, ..*fit }),
                 ..*finger
             });
         }
         let mut shape = with_thumb.shape;
         for i in 0..5 {
-            shape.vector[i] = finger.x[i];
+            shape.vector[i] = finger.shape[i];
         }
         shape
             .covariance
             .view_mut((0, 0), (5, 5))
             .copy_from(&fit.shape.covariance.view((0, 0), (5, 5)));
         let iterations = finger.iterations + whole.iterations;
-        Ok(Converged {
-            x: shape.vector,
+        Ok(FitResult {
+            shape: shape.vector,
             fit: Some(Fit { shape, rank: with_thumb.rank, counts: with_thumb.counts, ..*fit }),
             iterations,
             ..whole
@@ -204,7 +193,7 @@ impl ContourTracker {
         down_to: Limb,
         plan: SearchPlan,
         held: Option<&Prior<D>>,
-    ) -> Result<Converged<RIBBON_DOF>> {
+    ) -> Result<FitResult<RibbonVector>> {
         let space = self.ribbon::<D>(from)?;
         let samples = match down_to {
             Limb::Finger => finger_samples(&self.samples),
@@ -213,8 +202,7 @@ impl ContourTracker {
         let stage = self.hand.stage(samples, frame, plan, self.options.polarity);
         let x = Ribbon::<D>::free(from);
         let found = self.convergence.run_bands(frame, &space, x, &stage, held)?;
-        let Converged { x, fit, iterations, edges_within_px } = found;
-        Ok(Converged { x: space.full(&x), fit, iterations, edges_within_px })
+        Ok(found.map(|x| space.full(&x)))
     }
 
     pub(super) fn ribbon<const D: usize>(&self, about: &RibbonVector) -> Result<Ribbon<D>> {

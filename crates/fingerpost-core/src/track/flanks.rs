@@ -8,9 +8,10 @@
 //! much less precisely than the other, is repeated from the front.
 
 use super::convergence::Convergence;
+use super::fit_result::FitResult;
 use super::options::MIN_HALF_LENGTH_PX;
 use super::scene::Scene;
-use super::stage::{Converged, Fit, FitStage, StageEnd};
+use super::stage::{Fit, FitStage, SearchPlan, StageEnd};
 use super::tracker::PINNED_SIGMA;
 use crate::Result;
 use crate::geometry::shape_space::ShapeSpace;
@@ -97,7 +98,7 @@ impl Convergence {
         x: SVector<f64, D>,
         stage: &FitStage<'_>,
         believed: Option<&Prior<D>>,
-    ) -> Result<Converged<D>> {
+    ) -> Result<FitResult<SVector<f64, D>>> {
         let found = self.run(frame, space, x, stage, believed)?;
         let Some(fit) = found.fit.filter(|_| D == FINGER_DOF) else { return Ok(found) };
         let samples = stage.samples;
@@ -129,21 +130,24 @@ impl Convergence {
         x: SVector<f64, D>,
         stage: &FitStage<'_>,
         believed: Option<&Prior<D>>,
-    ) -> Result<Converged<D>> {
-        let front = FitStage { samples: front(stage.samples), rest: StageEnd::TakenOver, ..*stage };
+    ) -> Result<FitResult<SVector<f64, D>>> {
+        let plan = SearchPlan { rest: StageEnd::TakenOver, ..stage.plan };
+        let front = FitStage { samples: front(stage.samples), plan, ..*stage };
         let ahead = self.run(frame, space, x, &front, believed)?;
-        let half_length_px = stage.half_length_px.min(MIN_HALF_LENGTH_PX);
-        let near = FitStage { half_length_px, window: None, ..*stage };
-        self.run(frame, space, ahead.x, &near, Some(&pinned(&ahead.x)))?;
+        let half_length_px = stage.plan.half_length_px.min(MIN_HALF_LENGTH_PX);
+        let plan = SearchPlan { half_length_px, window: None, ..stage.plan };
+        let near = FitStage { plan, ..*stage };
+        self.run(frame, space, ahead.shape, &near, Some(&pinned(&ahead.shape)))?;
         let agreeing = FitStage { samples: self.agreeing_samples(stage.samples), ..near };
-        let refitted = self.run(frame, space, ahead.x, &agreeing, believed)?;
-        let whole = self.run(frame, space, refitted.x, &near, Some(&pinned(&refitted.x)))?;
+        let refitted = self.run(frame, space, ahead.shape, &agreeing, believed)?;
+        let whole =
+            self.run(frame, space, refitted.shape, &near, Some(&pinned(&refitted.shape)))?;
         let fit = refitted.fit.zip(whole.fit).map(|(refitted, whole)| {
             let Fit { shape, axis, line_covariance, .. } = refitted;
             Fit { shape, axis, line_covariance, ..whole }
         });
         let iterations = ahead.iterations + refitted.iterations + whole.iterations;
-        Ok(Converged { fit, iterations, ..refitted })
+        Ok(FitResult { fit, iterations, ..refitted })
     }
 
     /// Number of flanks that leave much unexplained within `within_px`.

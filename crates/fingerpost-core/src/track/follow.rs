@@ -138,7 +138,7 @@ impl ContourTracker {
         let cell = (PLACE_PART * self.hand.measure.length_px).powi(2) * PLACE_PART;
         let motion =
             innovation.map(|i| Motion::of(i, self.surprise, motion_prior.unlikely(i, cell)));
-        let most_scatter_px = self.hand.most_scale_px();
+        let most_scatter_px = self.hand.max_scale_px();
         Validation { accept: *accept, acquired, motion, most_scatter_px }
     }
 }

@@ -7,13 +7,13 @@ use super::limbs::finger_samples;
 use super::options::TrackerOptions;
 use super::scene::Scene;
 use super::shape::Shape;
-use super::stage::{Fit, FitStage, SUPPORT_PX, SURE, StageEnd, Window};
+use super::stage::{Fit, FitStage, SUPPORT_PX, SURE, SearchPlan};
 use super::validation::BendState;
 use crate::geometry::planar::AffineMap;
 use crate::geometry::ribbon::{BandMeasure, RIBBON_DOF, Ribbon, RibbonVector};
 use crate::geometry::shape_space::{PlacedSample, Pose, ShapeSpace};
 use crate::geometry::template::{Part, Template, TemplateSample};
-use crate::measure::edge::{Polarity, Scale};
+use crate::measure::edge::Polarity;
 use crate::numeric::ablation::{Mechanism, is_off};
 use nalgebra::Vector2;
 
@@ -85,22 +85,6 @@ pub(super) struct LastKnown {
     pub(super) shape: Shape,
     pub(super) kind: Kind,
     pub(super) measure: BandMeasure,
-}
-
-/// Parameters of one convergence: range along the normals, and whether it follows log-likelihood
-/// ratios or edges.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct SearchPlan {
-    pub(super) half_length_px: f64,
-    /// As [`FitStage::edges_within_px`].
-    pub(super) edges_within_px: f64,
-    pub(super) edge_cue: EdgeCue,
-    pub(super) scale: Scale,
-    pub(super) window: Option<Window>,
-    pub(super) rest: StageEnd,
-    /// Every how many samples one takes part.
-    pub(super) every: usize,
-    pub(super) own_only: bool,
 }
 
 impl InitialTemplate {
@@ -206,30 +190,9 @@ impl Hand {
         plan: SearchPlan,
         polarity: Polarity,
     ) -> FitStage<'a> {
-        let SearchPlan {
-            half_length_px,
-            edges_within_px,
-            scale,
-            edge_cue,
-            window,
-            rest,
-            every,
-            own_only,
-        } = plan;
-        let search_model = self.search_model(frame, edge_cue, polarity);
-        let most_scale_px = if own_only { self.most_scale_px() } else { f64::INFINITY };
-        FitStage {
-            samples,
-            every,
-            search_model,
-            scale,
-            half_length_px,
-            edges_within_px,
-            window,
-            rest,
-            own_only,
-            most_scale_px,
-        }
+        let search_model = self.search_model(frame, plan.edge_cue, polarity);
+        let max_scale_px = if plan.own_only { self.max_scale_px() } else { f64::INFINITY };
+        FitStage { samples, search_model, plan, max_scale_px }
     }
 
     /// Whether it was seen whole within [`MOST_COVERED_FRAMES`]. One that never was may be no hand;
@@ -240,7 +203,7 @@ impl Hand {
 
     /// Whether a fit explains nearly all of its contour, by edges that scatter as usual.
     pub(super) fn is_whole(&self, found: &FitResult) -> bool {
-        let scatters_as_usual = |fit: &Fit| fit.residual_rms_px <= self.most_scale_px();
+        let scatters_as_usual = |fit: &Fit| fit.residual_rms_px <= self.max_scale_px();
         found.explained() >= SURE && found.fit.as_ref().is_some_and(scatters_as_usual)
     }
 
@@ -270,13 +233,13 @@ impl Hand {
     }
 
     /// Largest residual scatter of a fit at its true place \[px\].
-    pub(super) fn most_scale_px(&self) -> f64 {
+    pub(super) fn max_scale_px(&self) -> f64 {
         (USUAL_TIMES * self.usual_px).max(USUAL_LEAST_PX)
     }
 
     /// Largest distance of an own edge from a fit at its true place \[px\].
     pub(super) fn own_within_px(&self) -> f64 {
-        (OWN_SCALES * self.most_scale_px()).min(SUPPORT_PX)
+        (OWN_SCALES * self.max_scale_px()).min(SUPPORT_PX)
     }
 
     /// Slack of the prior on its dimensions, relative to that of a hand seen whole. An object that
@@ -307,20 +270,5 @@ impl Hand {
     /// Whether its appearance model applies to this frame: a model of colours needs a colour frame.
     pub(super) fn is_shown_in(&self, frame: &Scene<'_>) -> bool {
         self.appearance.as_ref().is_some_and(|l| !l.is_coloured() || frame.colour().is_some())
-    }
-}
-
-impl SearchPlan {
-    pub(super) fn edges(half_length_px: f64) -> Self {
-        Self {
-            half_length_px,
-            edges_within_px: f64::INFINITY,
-            edge_cue: EdgeCue::HandEdges,
-            scale: Scale::Fine,
-            window: None,
-            rest: StageEnd::Reported,
-            every: 1,
-            own_only: false,
-        }
     }
 }

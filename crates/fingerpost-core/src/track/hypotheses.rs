@@ -4,13 +4,12 @@ use super::appearance::EdgeCue;
 use super::fit_result::FitResult;
 use super::fit_stages::Path;
 use super::grid_search::ShiftScore;
-use super::hand::SearchPlan;
 use super::motion_prediction::MotionPrediction;
 use super::options::TrackerOptions;
 use super::scene::Scene;
 use super::shape::Shape;
 use super::silhouette::Shaft;
-use super::stage::{SUPPORT_PX, SURE};
+use super::stage::{SUPPORT_PX, SURE, SearchPlan};
 use super::tracker::ContourTracker;
 use crate::Result;
 use crate::geometry::planar::{Rigid, Translation};
@@ -124,7 +123,7 @@ impl ContourTracker {
         if self.is_sufficient(&near, prediction)? && pushed_px == 0.0 {
             return match prediction {
                 Some(_) => Ok(Selection { found: near, pushed_px, likeness: 1.0 }),
-                None => self.selection(frame, near, pushed_px),
+                None => self.selection(frame, &near, pushed_px),
             };
         }
         let prediction = prediction.map(|f| f.pushed(pushed_px));
@@ -132,7 +131,7 @@ impl ContourTracker {
         let uncovered =
             (near.fit.is_some() && pushed_px > 0.0).then(|| near.shape.ahead(pushed_px));
         let mut ranking =
-            HypothesisRanking::starting_with(self.evaluated(frame, near, path, prediction)?);
+            HypothesisRanking::starting_with(self.evaluated(frame, &near, path, prediction)?);
         self.try_constant_velocity(frame, &mut ranking, predicted, prediction)?;
         let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
         let approached = self.approach(frame, predicted, reach_px)?;
@@ -154,7 +153,7 @@ impl ContourTracker {
             // Repeated, so that the last search is that of the best hypothesis.
             None => self.fit_stages(frame, best.path)?,
         };
-        self.selection(frame, found, pushed_px)
+        self.selection(frame, &found, pushed_px)
     }
 
     /// A hand whose whole contour was seen recently may be partly covered and continue at its
@@ -275,7 +274,7 @@ impl ContourTracker {
     fn selection(
         &mut self,
         frame: &Scene<'_>,
-        found: FitResult,
+        found: &FitResult,
         pushed_px: f64,
     ) -> Result<Selection> {
         let expected = MOST * found.explained();
@@ -285,7 +284,7 @@ impl ContourTracker {
         } else {
             1.0
         };
-        Ok(Selection { found, pushed_px, likeness })
+        Ok(Selection { found: *found, pushed_px, likeness })
     }
 
     /// Fits and evaluates a hypothesis.
@@ -296,25 +295,25 @@ impl ContourTracker {
         prediction: Option<&MotionPrediction>,
     ) -> Result<Hypothesis> {
         let found = self.fit_stages(frame, path)?;
-        self.evaluated(frame, found, path, prediction)
+        self.evaluated(frame, &found, path, prediction)
     }
 
     /// The result of the last search with its appearance share and motion cost.
     fn evaluated(
         &mut self,
         frame: &Scene<'_>,
-        found: FitResult,
+        found: &FitResult,
         path: Path,
         prediction: Option<&MotionPrediction>,
     ) -> Result<Hypothesis> {
         let cost = match found.fit {
-            Some(_) => self.motion(&found, prediction)?.cost,
+            Some(_) => self.motion(found, prediction)?.cost,
             None => f64::INFINITY,
         };
         let extension = self.goes_on_px(frame, &found.shape)? / self.hand.measure.length_px;
         let own =
             self.own_share(frame, found.edges(), self.hand.own_within_px())? / (1.0 + extension);
-        Ok(Hypothesis { found, path, own, cost })
+        Ok(Hypothesis { found: *found, path, own, cost })
     }
 
     /// Fraction of the finger's contour whose edges are within `within_px` of the last fit and
@@ -390,7 +389,9 @@ impl ContourTracker {
             }
             Shape::Ribbon(x) => {
                 let moved = self.run_ribbon::<2>(frame, &x, Limb::Thumb, plan, None)?;
-                Shape::Ribbon(self.run_ribbon::<3>(frame, &moved.x, Limb::Finger, plan, None)?.x)
+                Shape::Ribbon(
+                    self.run_ribbon::<3>(frame, &moved.shape, Limb::Finger, plan, None)?.shape,
+                )
             }
         })
     }

@@ -9,18 +9,19 @@
 
 use super::appearance::{AppearanceModel, EdgeCue, SearchModel};
 use super::convergence::Convergence;
+use super::fit_result::FitResult;
 use super::foreground_test::ForegroundTest;
 use super::limbs::{THUMB_SIZES, finger_samples, thumb_samples};
 use super::options::{MIN_HALF_LENGTH_PX, TrackerOptions};
 use super::scene::Scene;
 use super::separation::{WHOLE, stands_out};
 use super::silhouette::{Shaft, Silhouette};
-use super::stage::{Converged, FitStage, StageEnd};
+use super::stage::{FitStage, SearchPlan};
 use crate::Result;
 use crate::geometry::ribbon::{BandMeasure, RIBBON_DOF, Ribbon, RibbonVector};
 use crate::geometry::shape_space::{Axis, Pose, ShapeSpace};
 use crate::geometry::template::{Part, TemplateSample};
-use crate::measure::edge::{Polarity, Scale};
+use crate::measure::edge::Polarity;
 use crate::measure::edge_search::Cue;
 use crate::numeric::ablation::{Mechanism, is_off};
 use nalgebra::{Point2, Rotation2, Vector2};
@@ -77,13 +78,13 @@ pub(super) struct TemplateInitialiser<'a> {
 
 /// A hand that was found: its band template, and its kind.
 pub(super) struct TemplateFit {
-    pub hand: Converged<RIBBON_DOF>,
+    pub hand: FitResult<RibbonVector>,
     pub kind: Kind,
 }
 
 /// The finger with the highest quality until now.
 struct Best {
-    finger: Converged<RIBBON_DOF>,
+    finger: FitResult<RibbonVector>,
     polarity: Polarity,
     quality: f64,
 }
@@ -102,7 +103,7 @@ impl TemplateInitialiser<'_> {
     pub fn find(&self, convergence: &mut Convergence, frame: &Scene<'_>) -> Result<TemplateFit> {
         let samples = finger_samples(self.samples).len() as f64;
         let mut best = Best {
-            finger: Converged::at(*self.initial),
+            finger: FitResult::unfitted(*self.initial),
             polarity: self.options.polarity,
             quality: 0.0,
         };
@@ -136,18 +137,18 @@ impl TemplateInitialiser<'_> {
         }
         let Best { finger, polarity: finger_polarity, .. } = best;
         if finger.fit.is_some() && self.measure.side != 0.0 {
-            let (hand, polarity) = self.thumb(convergence, frame, &finger.x)?;
+            let (hand, polarity) = self.thumb(convergence, frame, &finger.shape)?;
             if hand.fit.is_some() {
                 let kind = Kind { has_thumb: true, polarity };
                 // Repeated, so that the last search is that of the best fit.
-                return self.refit(convergence, frame, &hand.x, kind);
+                return self.refit(convergence, frame, &hand.shape, kind);
             }
         }
         let kind = Kind { has_thumb: false, polarity: finger_polarity };
         if finger.fit.is_none() {
             return Ok(TemplateFit { hand: finger, kind });
         }
-        self.refit(convergence, frame, &finger.x, kind)
+        self.refit(convergence, frame, &finger.shape, kind)
     }
 
     /// Replaces the best finger by the one fitted last, or by the one that its appearance leads to,
@@ -157,7 +158,7 @@ impl TemplateInitialiser<'_> {
         best: &mut Best,
         convergence: &mut Convergence,
         frame: &Scene<'_>,
-        fitted_finger: &Converged<RIBBON_DOF>,
+        fitted_finger: &FitResult<RibbonVector>,
         polarity: Polarity,
     ) -> Result<()> {
         if !self.is_plausible(fitted_finger, false) {
@@ -166,10 +167,10 @@ impl TemplateInitialiser<'_> {
         let (finger, separation) =
             self.by_appearance(convergence, frame, fitted_finger, polarity)?;
         let score = self.score(&finger) / finger_samples(self.samples).len() as f64;
-        let is_hand = self.stands_out(frame, &finger.x, (separation, score))
+        let is_hand = self.stands_out(frame, &finger.shape, (separation, score))
             && (score >= WHOLE || score * separation / (1.0 + separation) > LEAST_SCORE);
         if is_hand {
-            let quality = self.quality(convergence, frame, &finger.x, (score, separation));
+            let quality = self.quality(convergence, frame, &finger.shape, (score, separation));
             if quality > best.quality {
                 *best = Best { finger, polarity, quality };
             }
@@ -259,19 +260,19 @@ impl TemplateInitialiser<'_> {
         } else {
             self.bands::<5>(convergence, frame, from, from, half_px, polarity)?
         };
-        let none = |x| TemplateFit { hand: Converged::at(x), kind };
+        let none = |x| TemplateFit { hand: FitResult::unfitted(x), kind };
         if !self.is_plausible(&fitted_finger, has_thumb) {
-            return Ok((none(fitted_finger.x), 0.0));
+            return Ok((none(fitted_finger.shape), 0.0));
         }
         let (hand, separation) =
             self.by_appearance(convergence, frame, &fitted_finger, polarity)?;
         let explained = hand.explains_finger();
         let Some(fit) =
-            hand.fit.filter(|_| self.stands_out(frame, &hand.x, (separation, explained)))
+            hand.fit.filter(|_| self.stands_out(frame, &hand.shape, (separation, explained)))
         else {
-            return Ok((none(hand.x), 0.0));
+            return Ok((none(hand.shape), 0.0));
         };
-        let quality = self.quality(convergence, frame, &hand.x, (explained, separation));
+        let quality = self.quality(convergence, frame, &hand.shape, (explained, separation));
         // Appearance may have moved the finger and dropped the thumb.
         let has_thumb = has_thumb && fit.shape.names.len() == RIBBON_DOF;
         Ok((TemplateFit { hand, kind: Kind { has_thumb, polarity } }, quality))
@@ -281,11 +282,11 @@ impl TemplateInitialiser<'_> {
     /// it has one, at the thumb.
     pub(super) fn is_plausible(
         &self,
-        fitted_finger: &Converged<RIBBON_DOF>,
+        fitted_finger: &FitResult<RibbonVector>,
         has_thumb: bool,
     ) -> bool {
         let Some(fit) = fitted_finger.fit else { return false };
-        let (x, limit) = (&fitted_finger.x, self.options.acquire.max_scale);
+        let (x, limit) = (&fitted_finger.shape, self.options.acquire.max_scale);
         let ratio = x[3] / self.initial[3];
         let thumb = Vector2::new(x[6], x[7]).norm() / self.measure.length_px;
         TAPERS.contains(&x[4])
@@ -303,12 +304,12 @@ impl TemplateInitialiser<'_> {
         &self,
         convergence: &mut Convergence,
         frame: &Scene<'_>,
-        fitted_finger: &Converged<RIBBON_DOF>,
+        fitted_finger: &FitResult<RibbonVector>,
         polarity: Polarity,
-    ) -> Result<(Converged<RIBBON_DOF>, f64)> {
+    ) -> Result<(FitResult<RibbonVector>, f64)> {
         let samples = finger_samples(self.samples);
-        let separation = self.finger_separation(convergence, frame, &fitted_finger.x);
-        let (mut x, mut best) = (fitted_finger.x, (*fitted_finger, separation));
+        let separation = self.finger_separation(convergence, frame, &fitted_finger.shape);
+        let (mut x, mut best) = (fitted_finger.shape, (*fitted_finger, separation));
         let mut appearance = convergence.lend_appearance(frame);
         let reach_px = self.options.acquire.reach_px(self.initial[3]);
         for _ in 0..LED_ROUNDS {
@@ -318,16 +319,16 @@ impl TemplateInitialiser<'_> {
                 convergence,
                 frame,
                 &appearance,
-                (&x, &fitted_finger.x),
+                (&x, &fitted_finger.shape),
                 polarity,
             )?;
             if refitted.fit.is_none() {
                 break;
             }
-            x = refitted.x;
+            x = refitted.shape;
             let separation = self.finger_separation(convergence, frame, &x);
             let displacement_px =
-                (x.fixed_rows::<2>(0) - fitted_finger.x.fixed_rows::<2>(0)).norm();
+                (x.fixed_rows::<2>(0) - fitted_finger.shape.fixed_rows::<2>(0)).norm();
             let quality = best.0.explains_finger() * best.1;
             let is_better = refitted.explains_finger() * separation > MIN_SCORE_GAIN * quality;
             if is_better && displacement_px <= reach_px && self.is_plausible(&refitted, false) {
@@ -347,23 +348,25 @@ impl TemplateInitialiser<'_> {
         frame: &Scene<'_>,
         from: &RibbonVector,
         polarity: Polarity,
-    ) -> Result<Converged<RIBBON_DOF>> {
+    ) -> Result<FitResult<RibbonVector>> {
         let mut appearance = convergence.lend_appearance(frame);
         // First it only moves and turns: its width is that of the pixels taken for inside.
         let reach_px = self.options.acquire.reach_px(self.initial[3]);
-        let mut fitted = Converged::at(*from);
+        let mut fitted = FitResult::unfitted(*from);
         if self.teach_at(convergence, frame, &mut appearance, from)?
             && let Some(log_ratios) = appearance.search_model(frame, EdgeCue::LogRatio, polarity)
         {
             fitted =
                 self.bands_with_model::<3>(convergence, frame, (from, from), reach_px, log_ratios)?;
         }
-        if fitted.fit.is_some() && self.teach_at(convergence, frame, &mut appearance, &fitted.x)? {
+        if fitted.fit.is_some()
+            && self.teach_at(convergence, frame, &mut appearance, &fitted.shape)?
+        {
             fitted = self.fit_by_appearance(
                 convergence,
                 frame,
                 &appearance,
-                (&fitted.x, from),
+                (&fitted.shape, from),
                 polarity,
             )?;
         }
@@ -396,10 +399,10 @@ impl TemplateInitialiser<'_> {
         appearance: &AppearanceModel,
         (from, believed): (&RibbonVector, &RibbonVector),
         polarity: Polarity,
-    ) -> Result<Converged<RIBBON_DOF>> {
+    ) -> Result<FitResult<RibbonVector>> {
         let reach_px = self.options.acquire.reach_px(self.initial[3]);
         let near_px = MIN_HALF_LENGTH_PX;
-        let mut fitted = Converged::at(*from);
+        let mut fitted = FitResult::unfitted(*from);
         let Some(log_ratios) = appearance.search_model(frame, EdgeCue::LogRatio, polarity) else {
             return Ok(fitted);
         };
@@ -415,7 +418,7 @@ impl TemplateInitialiser<'_> {
             fitted = self.bands_with_model::<5>(
                 convergence,
                 frame,
-                (&fitted.x, believed),
+                (&fitted.shape, believed),
                 half_px,
                 search_model,
             )?;
@@ -459,13 +462,13 @@ impl TemplateInitialiser<'_> {
 
     /// Number of explained samples, less a penalty that is quadratic in the distance from the start
     /// pose: the operator holds the hand up to the template, not beside it.
-    fn score(&self, fitted_finger: &Converged<RIBBON_DOF>) -> f64 {
+    fn score(&self, fitted_finger: &FitResult<RibbonVector>) -> f64 {
         let tip = |x: &RibbonVector| {
             Axis::of_finger(Point2::new(x[0], x[1]), x[2], 0.5 * self.measure.length_px).tip
         };
-        let distance = (tip(&fitted_finger.x) - tip(self.initial)).norm()
+        let distance = (tip(&fitted_finger.shape) - tip(self.initial)).norm()
             / (PLACE_SIGMA * self.measure.length_px);
-        let turned = (fitted_finger.x[2] - self.initial[2]) / ANGLE_SIGMA_RAD;
+        let turned = (fitted_finger.shape[2] - self.initial[2]) / ANGLE_SIGMA_RAD;
         let visible = finger_samples(self.samples).len() as f64;
         fitted_finger.support() as f64
             - DISTANCE_WEIGHT * visible * (distance * distance + turned * turned)
@@ -502,11 +505,11 @@ impl TemplateInitialiser<'_> {
         frame: &Scene<'_>,
         from: &RibbonVector,
         polarity: Polarity,
-    ) -> Result<Converged<RIBBON_DOF>> {
+    ) -> Result<FitResult<RibbonVector>> {
         let half_px = self.options.acquire.reach_px(self.initial[3]);
         let moved = self.bands::<2>(convergence, frame, from, from, half_px, polarity)?;
-        let turned = self.bands::<3>(convergence, frame, &moved.x, from, half_px, polarity)?;
-        self.bands::<5>(convergence, frame, &turned.x, from, half_px, polarity)
+        let turned = self.bands::<3>(convergence, frame, &moved.shape, from, half_px, polarity)?;
+        self.bands::<5>(convergence, frame, &turned.shape, from, half_px, polarity)
     }
 
     /// Fits finger and thumb together.
@@ -517,7 +520,7 @@ impl TemplateInitialiser<'_> {
         from: &RibbonVector,
         half_length_px: f64,
         polarity: Polarity,
-    ) -> Result<Converged<RIBBON_DOF>> {
+    ) -> Result<FitResult<RibbonVector>> {
         self.bands::<RIBBON_DOF>(convergence, frame, from, from, half_length_px, polarity)
     }
 
@@ -532,7 +535,7 @@ impl TemplateInitialiser<'_> {
         believed: &RibbonVector,
         half_length_px: f64,
         polarity: Polarity,
-    ) -> Result<Converged<RIBBON_DOF>> {
+    ) -> Result<FitResult<RibbonVector>> {
         let search_model = SearchModel::unknown(polarity);
         self.bands_with_model::<D>(convergence, frame, (x, believed), half_length_px, search_model)
     }
@@ -545,7 +548,7 @@ impl TemplateInitialiser<'_> {
         (x, believed): (&RibbonVector, &RibbonVector),
         half_length_px: f64,
         search_model: SearchModel<'_>,
-    ) -> Result<Converged<RIBBON_DOF>> {
+    ) -> Result<FitResult<RibbonVector>> {
         let has_thumb = D > 5;
         let samples = if has_thumb { self.samples } else { finger_samples(self.samples) };
         let stage = stage(samples, search_model, half_length_px);
@@ -553,8 +556,7 @@ impl TemplateInitialiser<'_> {
         let prior = (D > 3).then(|| self.belief::<D>(believed));
         let start = Ribbon::<D>::free(x);
         let fitted_finger = convergence.run_bands(frame, &space, start, &stage, prior.as_ref())?;
-        let Converged { x, fit, iterations, edges_within_px } = fitted_finger;
-        Ok(Converged { x: space.full(&x), fit, iterations, edges_within_px })
+        Ok(fitted_finger.map(|x| space.full(&x)))
     }
 
     /// Support of the finger, or of the thumb if the shape space has one: the sum over its samples
@@ -584,16 +586,6 @@ fn stage<'a>(
     search_model: SearchModel<'a>,
     half_length_px: f64,
 ) -> FitStage<'a> {
-    FitStage {
-        samples,
-        search_model,
-        scale: Scale::Fine,
-        half_length_px,
-        edges_within_px: f64::INFINITY,
-        window: None,
-        rest: StageEnd::Reported,
-        every: 1,
-        own_only: false,
-        most_scale_px: f64::INFINITY,
-    }
+    let plan = SearchPlan { edge_cue: search_model.edge_cue, ..SearchPlan::edges(half_length_px) };
+    FitStage { samples, search_model, plan, max_scale_px: f64::INFINITY }
 }

@@ -12,11 +12,11 @@
 use super::acquire::with_thumb_of;
 use super::appearance::EdgeCue;
 use super::fit_result::FitResult;
-use super::hand::SearchPlan;
 use super::options::MIN_HALF_LENGTH_PX;
 use super::scene::Scene;
 use super::shape::Shape;
 use super::silhouette::Shaft;
+use super::stage::SearchPlan;
 use super::tracker::ContourTracker;
 use crate::Result;
 use crate::geometry::ribbon::{BandMeasure, RIBBON_DOF, RibbonVector};
@@ -171,7 +171,7 @@ impl ContourTracker {
         let held = self.held::<5>(&from, SLACK);
         let plan = SearchPlan::edges(near_px(x, MIN_HALF_LENGTH_PX));
         let finger = self.run_ribbon::<5>(frame, &from, Limb::Finger, plan, Some(&held))?;
-        self.hand.shape = Shape::Ribbon(with_thumb_of(&from, &finger.x));
+        self.hand.shape = Shape::Ribbon(with_thumb_of(&from, &finger.shape));
         Ok(finger.into())
     }
 }

@@ -13,10 +13,10 @@
 use super::acquire::with_thumb_of;
 use super::appearance::AppearanceModel;
 use super::fit_result::FitResult;
-use super::hand::SearchPlan;
 use super::options::Model;
 use super::scene::Scene;
 use super::shape::Shape;
+use super::stage::SearchPlan;
 use super::tracker::ContourTracker;
 use crate::Result;
 use crate::appearance::discriminant::{Discriminant, Mixture};
@@ -208,7 +208,7 @@ impl ContourTracker {
             if !FitResult::from(finger).is_accepted(&self.options.acquire.accept) {
                 return Ok(false);
             }
-            self.hand.shape = Shape::Ribbon(with_thumb_of(&x, &finger.x));
+            self.hand.shape = Shape::Ribbon(with_thumb_of(&x, &finger.shape));
             self.hand.appearance = None;
             self.learn_appearance(frame, 1)?;
         }

@@ -8,7 +8,8 @@ use crate::geometry::template::{Part, TemplateSample};
 use crate::measure::edge::Scale;
 use crate::solve::dynamics::{Expectation, Gate};
 use crate::solve::fit::Prior;
-use nalgebra::{Matrix2, SVector, Vector3};
+use nalgebra::{Matrix2, Vector3};
+
 /// Explained fraction of the contour from which a fit needs no further hypotheses.
 pub(super) const SURE: f64 = 0.85;
 /// Largest motion of a sample below which a contour has converged \[px\]; the remaining motion is a
@@ -35,11 +36,20 @@ const BESIDES_PX: f64 = 1.0;
 /// Parameters of one convergence.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FitStage<'a> {
-    /// The samples, of which every `every`-th takes part.
     pub samples: &'a [TemplateSample],
-    pub every: usize,
     /// Search model: what the search lines look for, and in which image.
     pub search_model: SearchModel<'a>,
+    pub plan: SearchPlan,
+    /// Largest scale of the residual offsets near the hand's edges \[px\].
+    pub max_scale_px: f64,
+}
+
+/// Range and kind of the search of one convergence, whatever the samples and the hand.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SearchPlan {
+    /// Of the samples, every `every`-th takes part.
+    pub every: usize,
+    pub edge_cue: EdgeCue,
     pub scale: Scale,
     /// Largest half-length of a search line \[px\].
     pub half_length_px: f64,
@@ -51,8 +61,22 @@ pub(super) struct FitStage<'a> {
     pub rest: StageEnd,
     /// Whether only edges that match the appearance model inside count.
     pub own_only: bool,
-    /// Largest scale of the residual offsets near the hand's edges \[px\].
-    pub most_scale_px: f64,
+}
+
+impl SearchPlan {
+    /// The hand's edges on lines of this half-length, without a motion prediction.
+    pub fn edges(half_length_px: f64) -> Self {
+        Self {
+            every: 1,
+            edge_cue: EdgeCue::HandEdges,
+            scale: Scale::Fine,
+            half_length_px,
+            edges_within_px: f64::INFINITY,
+            window: None,
+            rest: StageEnd::Reported,
+            own_only: false,
+        }
+    }
 }
 
 /// Use of a contour that has converged.
@@ -106,34 +130,6 @@ impl Window {
         let arm = position.coords - self.expected.vector.xy();
         let row = Vector3::new(normal.x, normal.y, arm.perp(normal));
         self.expected.search_length(&row, BESIDES_PX * BESIDES_PX, &self.gate)
-    }
-}
-
-/// Result of one convergence.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Converged<const D: usize> {
-    pub x: SVector<f64, D>,
-    /// The last fit, if it was determined.
-    pub fit: Option<Fit>,
-    pub iterations: usize,
-    /// For a stage that another continues, bound on the distance of the edges found from `x`
-    /// \[px\]; infinite if too few were found, or without convergence.
-    pub edges_within_px: f64,
-}
-
-impl<const D: usize> Converged<D> {
-    pub fn at(x: SVector<f64, D>) -> Self {
-        Self { x, fit: None, iterations: 0, edges_within_px: f64::INFINITY }
-    }
-
-    /// Explained fraction of the finger's visible samples, 0–1; 0 without a fit.
-    pub fn explains_finger(&self) -> f64 {
-        self.fit.map_or(0.0, |f| f.support.of_finger())
-    }
-
-    /// Number of samples that the fit explains; 0 without a fit.
-    pub fn support(&self) -> usize {
-        self.fit.map_or(0, |f| f.support.supported())
     }
 }
 

@@ -1,10 +1,11 @@
 //! The thumb of a hand that is held up: a grid of thumbs, of which the best are fitted.
 
 use super::convergence::Convergence;
+use super::fit_result::FitResult;
 use super::initialise::TemplateInitialiser;
 use super::limbs::thumb_samples;
 use super::scene::Scene;
-use super::stage::{Converged, Support};
+use super::stage::Support;
 use crate::Result;
 use crate::geometry::ribbon::{RIBBON_DOF, RibbonVector};
 use crate::geometry::template::Part;
@@ -47,7 +48,7 @@ impl TemplateInitialiser<'_> {
         convergence: &mut Convergence,
         frame: &Scene<'_>,
         finger: &RibbonVector,
-    ) -> Result<(Converged<RIBBON_DOF>, Polarity)> {
+    ) -> Result<(FitResult<RibbonVector>, Polarity)> {
         let reach_px = (THUMB_REACH * self.measure.length_px).clamp(1.0, MAX_HALF_LENGTH_PX as f64);
         let mut tried = Vec::new();
         for &polarity in self.hypotheses() {
@@ -58,7 +59,7 @@ impl TemplateInitialiser<'_> {
             }
         }
         tried.sort_by_key(|(support, ..)| std::cmp::Reverse(*support));
-        let mut best = (Converged::at(*finger), self.options.polarity);
+        let mut best = (FitResult::unfitted(*finger), self.options.polarity);
         for (_, polarity, from) in tried.into_iter().take(THUMBS_FITTED) {
             let fitted_finger = self.whole(convergence, frame, &from, reach_px, polarity)?;
             if fitted_finger.support() > best.0.support() && self.is_plausible(&fitted_finger, true)
