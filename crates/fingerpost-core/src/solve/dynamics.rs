@@ -187,7 +187,7 @@ impl<const D: usize> Dynamics<D> {
         &self.state.v
     }
 
-    /// The filter after a surprising shape vector. Either the velocity has changed from the given
+    /// The filter after a shape vector whose innovation is improbable. Either the velocity has changed from the given
     /// one to the present one, or the previous measurement was wrong. The two hypotheses are
     /// equally likely and are merged into the Gaussian of their mean and covariance.
     #[must_use]

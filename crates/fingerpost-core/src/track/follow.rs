@@ -11,7 +11,7 @@ use super::scene::Scene;
 use super::stage::Window;
 use super::status::Status;
 use super::tracker::{ContourTracker, LOST_REACH, Phase};
-use super::validation::{Motion, Validation};
+use super::validation::{InnovationCheck, Validation};
 use crate::Result;
 use crate::solve::dynamics::{Innovation, Prediction};
 
@@ -59,10 +59,10 @@ impl ContourTracker {
             self.hand.bend_state = self.hand.bend_state.after(bend.as_ref(), &found);
             self.hand.shape = found.shape;
             self.hand.is_back = false;
-            let is_surprising = innovation.is_some_and(|square| square > self.surprise);
+            let is_improbable = innovation.is_some_and(|square| square > self.innovation_gate);
             let before = prediction.dynamics.velocity();
             self.dynamics =
-                Some(if is_surprising { dynamics.with_velocity_reset(before) } else { dynamics });
+                Some(if is_improbable { dynamics.with_velocity_reset(before) } else { dynamics });
             let mut track = if self.hand.bend_state.is_bent() {
                 self.hold_bent(time_s, &found, &accept)
             } else {
@@ -136,9 +136,10 @@ impl ContourTracker {
         let motion_prior =
             if self.hand.is_known_whole() { self.motion_prior } else { MotionPrior::unknown() };
         let cell = (PLACE_PART * self.hand.measure.length_px).powi(2) * PLACE_PART;
-        let motion =
-            innovation.map(|i| Motion::of(i, self.surprise, motion_prior.unlikely(i, cell)));
+        let innovation = innovation.map(|i| {
+            InnovationCheck::of(i, self.innovation_gate, motion_prior.placement_penalty(i, cell))
+        });
         let most_scatter_px = self.hand.max_scale_px();
-        Validation { accept: *accept, acquired, motion, most_scatter_px }
+        Validation { accept: *accept, acquired, innovation, most_scatter_px }
     }
 }

@@ -17,8 +17,8 @@ use crate::geometry::template::Limb;
 use crate::measure::edge::{MAX_HALF_LENGTH_PX, Scale};
 use crate::numeric::ablation::{Mechanism, is_off};
 
-/// Motion cost up to which a fit needs no further hypotheses, as a fraction of the contour.
-const UNSURPRISING: f64 = 0.1;
+/// Ranking penalty above which a motion is improbable, as a fraction of the contour.
+const IMPROBABLE_PENALTY: f64 = 0.1;
 /// Score below which a change of light is tried as a hypothesis.
 const UNLIKE: f64 = 0.3;
 /// Weight of an edge whose inside does not match the appearance model, relative to one that
@@ -51,24 +51,27 @@ struct Hypothesis {
     /// inside, divided by 1 + d / finger length, where d is the distance that the hand extends
     /// beyond the tip.
     own: f64,
-    /// Cost of its motion; ∞ if the hand cannot have changed or moved to it, or without a fit.
-    cost: f64,
+    /// Penalty on its motion ([`MotionPrior::ranking_penalty`]); ∞ if the hand cannot have changed
+    /// or moved to it, or without a fit.
+    ///
+    /// [`MotionPrior::ranking_penalty`]: super::motion_prior::MotionPrior::ranking_penalty
+    ranking_penalty: f64,
 }
 
 /// The motion from the last frame to a fit.
-struct MotionCost {
-    /// As [`Hypothesis::cost`].
-    cost: f64,
-    /// Whether the motion is improbable under the motion prior.
-    surprises: bool,
+struct RankedMotion {
+    /// As [`Hypothesis::ranking_penalty`].
+    ranking_penalty: f64,
+    /// Whether the motion is improbable, by its ranking penalty or by the gate of the innovation.
+    is_improbable: bool,
 }
 
 impl Hypothesis {
-    /// Score: own + [`UNLIKE_WEIGHT`] (explained − own) − cost. Edges whose inside does not match
-    /// the appearance model may be those of an occluding object.
+    /// Score: own + [`UNLIKE_WEIGHT`] (explained − own) − ranking penalty. Edges whose inside does
+    /// not match the appearance model may be those of an occluding object.
     fn score(&self) -> f64 {
         let unmatched = (self.found.explained() - self.own).max(0.0);
-        self.own + UNLIKE_WEIGHT * unmatched - self.cost
+        self.own + UNLIKE_WEIGHT * unmatched - self.ranking_penalty
     }
 }
 
@@ -93,7 +96,7 @@ impl HypothesisRanking {
         let other = self.keep_better(hypothesis, is_better);
         let explained =
             self.impossible.as_ref().map_or(SURE, |hypothesis| hypothesis.found.explained());
-        if other.cost.is_infinite() && other.found.explained() >= explained {
+        if other.ranking_penalty.is_infinite() && other.found.explained() >= explained {
             self.impossible = Some(other);
         }
     }
@@ -298,7 +301,7 @@ impl ContourTracker {
         self.evaluated(frame, &found, path, prediction)
     }
 
-    /// The result of the last search with its appearance share and motion cost.
+    /// The result of the last search with its appearance share and ranking penalty.
     fn evaluated(
         &mut self,
         frame: &Scene<'_>,
@@ -306,14 +309,14 @@ impl ContourTracker {
         path: Path,
         prediction: Option<&MotionPrediction>,
     ) -> Result<Hypothesis> {
-        let cost = match found.fit {
-            Some(_) => self.motion(found, prediction)?.cost,
+        let ranking_penalty = match found.fit {
+            Some(_) => self.motion(found, prediction)?.ranking_penalty,
             None => f64::INFINITY,
         };
         let extension = self.goes_on_px(frame, &found.shape)? / self.hand.measure.length_px;
         let own =
             self.own_share(frame, found.edges(), self.hand.own_within_px())? / (1.0 + extension);
-        Ok(Hypothesis { found: *found, path, own, cost })
+        Ok(Hypothesis { found: *found, path, own, ranking_penalty })
     }
 
     /// Fraction of the finger's contour whose edges are within `within_px` of the last fit and
@@ -346,27 +349,27 @@ impl ContourTracker {
         found: &FitResult,
         prediction: Option<&MotionPrediction>,
     ) -> Result<bool> {
-        Ok(self.hand.is_whole(found) && !self.motion(found, prediction)?.surprises)
+        Ok(self.hand.is_whole(found) && !self.motion(found, prediction)?.is_improbable)
     }
 
-    /// The cost of the motion to a fit, and whether it is improbable.
+    /// The ranking penalty of the motion to a fit, and whether it is improbable.
     fn motion(
         &self,
         found: &FitResult,
         prediction: Option<&MotionPrediction>,
-    ) -> Result<MotionCost> {
+    ) -> Result<RankedMotion> {
         let followed = prediction.map(|f| f.followed(found)).transpose()?.flatten();
         let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
         let possible =
             self.validation(&self.options.track.accept, innovation).is_possible(&found.shape);
-        let cost = match (possible, innovation) {
+        let ranking_penalty = match (possible, innovation) {
             (Err(_), _) => f64::INFINITY,
-            (Ok(()), Some(i)) if self.hand.is_known_whole() => self.motion_prior.cost(i),
+            (Ok(()), Some(i)) if self.hand.is_known_whole() => self.motion_prior.ranking_penalty(i),
             _ => 0.0,
         };
-        let surprises = cost > UNSURPRISING
-            || innovation.is_some_and(|i| i.normalised_square() > self.surprise);
-        Ok(MotionCost { cost, surprises })
+        let is_improbable = ranking_penalty > IMPROBABLE_PENALTY
+            || innovation.is_some_and(|i| i.normalised_square() > self.innovation_gate);
+        Ok(RankedMotion { ranking_penalty, is_improbable })
     }
 
     /// Coarse localisation. If the appearance model applies, a grid search over the log-likelihood

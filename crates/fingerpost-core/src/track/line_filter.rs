@@ -126,7 +126,7 @@ impl RestingLine {
         let registration_term =
             POSE_TERMS * (inverse * observation.texture_pose.covariance).trace();
         let chi_squared =
-            observation.surprise.dot(&(inverse * observation.surprise)) - registration_term;
+            observation.innovation.dot(&(inverse * observation.innovation)) - registration_term;
         let most = 2.0 + (inverse * state).trace() / MOST_OWN_PART;
         Some(Self {
             chi_squared: self.chi_squared + chi_squared,
@@ -326,7 +326,7 @@ impl LineState {
     fn updated(self, observation: &LineObservation, filtered: &Matrix2<f64>) -> Option<Self> {
         let predicted = self.covariance * observation.inflation;
         let gain = predicted * (observation.expected + filtered).try_inverse()?;
-        let line = self.line + gain * observation.surprise;
+        let line = self.line + gain * observation.innovation;
         Some(Self { line, covariance: (Matrix2::identity() - gain) * predicted, ..self })
     }
 
@@ -348,7 +348,7 @@ impl LineState {
     /// Restarted from the frame's line alone, which may be the first of a finger at rest.
     fn restarted(self, observation: &LineObservation) -> Option<Self> {
         let line_covariance = observation.measured.covariance;
-        let line = self.line + observation.surprise;
+        let line = self.line + observation.innovation;
         let rest =
             Some(RestingLine::at(observation.texture_pose.axis).with_line(&line_covariance)?);
         Some(Self {
@@ -370,7 +370,7 @@ struct LineObservation {
     texture_pose: TexturePose,
     /// The state, and the innovation.
     state: Vector2<f64>,
-    surprise: Vector2<f64>,
+    innovation: Vector2<f64>,
     /// Covariance of the predicted line in this image, and of the frame's line as one of many with
     /// correlated errors, R (1 + ρ) / (1 − ρ).
     expected: Matrix2<f64>,
@@ -392,12 +392,12 @@ impl LineObservation {
     ) -> Option<Self> {
         let measured = line.expressed_at(&texture_pose.axis);
         let at_texture = FingerLine { axis: texture_pose.axis, ..measured };
-        let surprise = at_texture.difference(&measured.axis) - state.line;
+        let innovation = at_texture.difference(&measured.axis) - state.line;
         let correlation = correlation(travel);
         let filtered = measured.covariance * ((1.0 + correlation) / (1.0 - correlation));
         let expected = state.covariance + texture_pose.covariance;
-        let weighted_innovation = (expected + measured.covariance).try_inverse()? * surprise;
-        let chi_squared = surprise.dot(&((expected + filtered).try_inverse()? * surprise));
+        let weighted_innovation = (expected + measured.covariance).try_inverse()? * innovation;
+        let chi_squared = innovation.dot(&((expected + filtered).try_inverse()? * innovation));
         let inflation = (chi_squared / CHI2_2DOF_99).max(1.0);
         let inflated =
             |line: FingerLine| FingerLine { covariance: line.covariance * inflation, ..line };
@@ -406,11 +406,11 @@ impl LineObservation {
             measured: inflated(measured),
             texture_pose: *texture_pose,
             state: state.line,
-            surprise,
+            innovation,
             expected: expected * inflation,
             filtered: filtered * inflation,
             inflation,
-            reduced_chi_squared: 0.5 * surprise.dot(&weighted_innovation),
+            reduced_chi_squared: 0.5 * innovation.dot(&weighted_innovation),
             freshness: 1.0 - correlation,
         })
     }
@@ -426,7 +426,7 @@ impl LineObservation {
     ) -> Option<FingerLine> {
         let gain = expected * (expected + filtered).try_inverse()?;
         let covariance = (Matrix2::identity() - gain) * expected;
-        let updated = self.state + gain * self.surprise;
+        let updated = self.state + gain * self.innovation;
         let Axis { anchor, angle_rad, .. } = self.texture_pose.axis;
         let anchor = anchor + self.texture_pose.axis.normal() * updated.x;
         let axis = Axis::of_finger(anchor, angle_rad + updated.y, 0.0);

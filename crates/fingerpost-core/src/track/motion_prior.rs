@@ -3,8 +3,15 @@
 //! The process noise of the filter allows a hand to start, stop or reverse in any frame, so that it
 //! is not lost when it does. For a hand at rest this admits every edge nearby: a jump costs
 //! nothing. The innovations of the last frames determine how likely a jump is. Since the hand may
-//! start to move, the cost grows only with the logarithm (Student's t, with the scale of the last
-//! innovations).
+//! start to move, the penalty on a jump grows only with the logarithm (Student's t, with the scale
+//! of the last innovations).
+//!
+//! Two penalties follow from it. The [ranking penalty](MotionPrior::ranking_penalty) orders the
+//! hypotheses of one frame by their distance from the likeliest place. The [placement
+//! penalty](MotionPrior::placement_penalty) raises the agreement that is required of the hypothesis
+//! selected: it adds to that distance the number of places in which the hand may be, which is
+//! nearly the same for all hypotheses of a frame and so does not matter in their order, and it is
+//! bounded for a hand that starts to move.
 //!
 //! The longer a hand is unseen, the more places it may be in, and the more often one of them
 //! resembles it by chance. The required fraction of the contour therefore grows as the prior
@@ -23,8 +30,8 @@ const STILLEST: f64 = 0.01;
 const COMPONENTS: f64 = 3.0;
 /// Fraction of frames in which a hand starts, stops or reverses.
 const CHANGES: f64 = 0.05;
-/// Cost of one nat of surprise, as a fraction of the contour.
-const SURPRISE_WEIGHT: f64 = 0.05;
+/// Penalty of one nat of log-odds against a motion, as a fraction of the contour.
+const LOG_ODDS_WEIGHT: f64 = 0.05;
 
 /// Mean square of the last innovations, in units of their covariance: 1 for a hand that moves as
 /// the process noise states, less for one that is at rest or moves uniformly.
@@ -59,13 +66,13 @@ impl MotionPrior {
         Window { expected, near_px: MIN_HALF_LENGTH_PX, own_only: true, ..*window }
     }
 
-    /// Improbability of a fit's place before the contour is measured, as a fraction of the contour:
-    /// `SURPRISE_WEIGHT` × min(o(s), o(1) − ln `CHANGES`), with s the expected mean square, r² the
+    /// Additional agreement required of a fit at its place, as a fraction of the contour:
+    /// `LOG_ODDS_WEIGHT` × min(o(s), o(1) − ln `CHANGES`), with s the expected mean square, r² the
     /// normalised square per component, n = √det S / `cell`, and the log-odds o(s) = ln max(n
     /// s^(3/2), 1) + ln(1 + r²/s). The first term counts the cells in which the hand may be, the
     /// second is the distance from the likeliest. The hand either continues as before (s) or moves
     /// as the process noise allows (1).
-    pub fn unlikely(self, innovation: &Innovation<3>, cell: f64) -> f64 {
+    pub fn placement_penalty(self, innovation: &Innovation<3>, cell: f64) -> f64 {
         if is_off(Mechanism::MotionPrior) {
             return 0.0;
         }
@@ -74,16 +81,18 @@ impl MotionPrior {
         let odds = |expected: f64| {
             (places * expected.powf(0.5 * COMPONENTS)).max(1.0).ln() + (square / expected).ln_1p()
         };
-        SURPRISE_WEIGHT * odds(self.expected()).min(odds(1.0) - CHANGES.ln())
+        LOG_ODDS_WEIGHT * odds(self.expected()).min(odds(1.0) - CHANGES.ln())
     }
 
-    /// Cost of an innovation: `SURPRISE_WEIGHT` × ln(1 + r²/s), as a fraction of the contour.
-    pub fn cost(self, innovation: &Innovation<3>) -> f64 {
+    /// Reduction of a hypothesis's score by its motion, as a fraction of the contour:
+    /// `LOG_ODDS_WEIGHT` × ln(1 + r²/s), with r² and s as in
+    /// [`placement_penalty`](Self::placement_penalty).
+    pub fn ranking_penalty(self, innovation: &Innovation<3>) -> f64 {
         if is_off(Mechanism::MotionPrior) {
             return 0.0;
         }
         let square = innovation.normalised_square() / (COMPONENTS * self.expected());
-        SURPRISE_WEIGHT * square.ln_1p()
+        LOG_ODDS_WEIGHT * square.ln_1p()
     }
 }
 
@@ -120,23 +129,23 @@ mod tests {
     #[test]
     fn a_hand_at_rest_in_its_place_is_not_improbable() {
         let in_place = innovation(0.04, Vector3::zeros());
-        assert!(resting_prior().unlikely(&in_place, CELL).abs() < 1e-12);
+        assert!(resting_prior().placement_penalty(&in_place, CELL).abs() < 1e-12);
     }
 
     #[test]
     fn improbability_grows_with_time_unseen_and_distance() {
         let displacement = Vector3::new(20.0, 0.0, 1.0);
         for motion_prior in [resting_prior(), MotionPrior::unknown()] {
-            let unlikely = |after_s, part| {
-                motion_prior.unlikely(&innovation(after_s, displacement * part), CELL)
-                    / SURPRISE_WEIGHT
+            let placement_penalty = |after_s, part| {
+                motion_prior.placement_penalty(&innovation(after_s, displacement * part), CELL)
+                    / LOG_ODDS_WEIGHT
             };
             // At the predicted place, but among a growing number of possible ones; a hand at rest
             // keeps its place.
-            assert!(unlikely(0.8, 0.0) > unlikely(0.4, 0.0) + 1.0);
+            assert!(placement_penalty(0.8, 0.0) > placement_penalty(0.4, 0.0) + 1.0);
             for after_s in [0.04, 0.12, 0.24] {
-                assert!(unlikely(after_s, 1.0) > unlikely(after_s, 0.5) + 0.5);
-                assert!(unlikely(after_s, 0.5) > unlikely(after_s, 0.0) + 0.3);
+                assert!(placement_penalty(after_s, 1.0) > placement_penalty(after_s, 0.5) + 0.5);
+                assert!(placement_penalty(after_s, 0.5) > placement_penalty(after_s, 0.0) + 0.3);
             }
         }
     }
@@ -144,9 +153,9 @@ mod tests {
     #[test]
     fn the_improbability_of_starting_to_move_is_bounded() {
         let moved = innovation(0.04, Vector3::new(25.0, -20.0, 0.1));
-        let excess =
-            resting_prior().unlikely(&moved, CELL) - MotionPrior::unknown().unlikely(&moved, CELL);
-        let bound = -SURPRISE_WEIGHT * CHANGES.ln();
+        let excess = resting_prior().placement_penalty(&moved, CELL)
+            - MotionPrior::unknown().placement_penalty(&moved, CELL);
+        let bound = -LOG_ODDS_WEIGHT * CHANGES.ln();
         assert!((excess - bound).abs() < 1e-12, "{excess}");
     }
 }

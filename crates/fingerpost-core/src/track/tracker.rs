@@ -51,8 +51,8 @@ pub struct ContourTracker {
     pub(super) convergence: Convergence,
     pub(super) grid_search: GridSearch,
     pub(super) gate: Gate,
-    /// Validation gate: limit of the normalised square of an innovation.
-    pub(super) surprise: f64,
+    /// Limit of the normalised square of an innovation, χ² of [`INNOVATION_GATE_PROBABILITY`].
+    pub(super) innovation_gate: f64,
     pub(super) hand: Hand,
     pub(super) phase: Phase,
     pub(super) refiner: Refiner,
@@ -90,7 +90,7 @@ pub(super) enum Phase {
 
 /// Probability with which the normalised square of the innovation of a hand that moves as predicted
 /// stays below the gate (χ², 3 degrees of freedom).
-pub(super) const SURPRISE: f64 = 0.9999;
+pub(super) const INNOVATION_GATE_PROBABILITY: f64 = 0.9999;
 /// Largest half-width of a tracked finger for which lengths and speeds in pixels apply unscaled
 /// \[px\]; for a larger finger they grow in proportion.
 pub(super) const FOLLOWED_HALF_WIDTH_PX: f64 = 13.0;
@@ -154,7 +154,7 @@ impl ContourTracker {
             convergence: Convergence::new(&options)?,
             grid_search: GridSearch::with_capacity(samples.len()),
             gate: options.gate(1.0)?,
-            surprise: chi_square_quantile(SURPRISE, 3)?,
+            innovation_gate: chi_square_quantile(INNOVATION_GATE_PROBABILITY, 3)?,
             phase: Phase::Acquiring { settled: 0 },
             refiner: Refiner::new(RefineOptions::default())?,
             dynamics: None,

@@ -25,7 +25,7 @@ const TAPER_CHANGE: f64 = 0.19;
 /// not even of one that reverses at full speed.
 const IMPOSSIBLE: f64 = 8.0;
 /// Innovation of the angle, in standard deviations, above which it is no motion of a hand.
-const IMPOSSIBLE_TURN: f64 = 6.0;
+const IMPOSSIBLE_TURN_SIGMAS: f64 = 6.0;
 /// Factor on the required agreement for a hand exactly at the predicted place, under the two
 /// conditions below.
 const PREDICTED_SHARE: f64 = 0.66;
@@ -109,32 +109,33 @@ pub(super) struct Validation<'a> {
     pub accept: AcceptOptions,
     /// The band template at acquisition.
     pub acquired: &'a RibbonVector,
-    /// Deviation of the fit from the motion prediction; `None` without a prediction.
-    pub motion: Option<Motion>,
+    /// Innovation of the fit; `None` without a motion prediction.
+    pub innovation: Option<InnovationCheck>,
     /// Largest residual scatter of a fit at its true place \[px\].
     pub most_scatter_px: f64,
 }
 
-/// Deviation of place and angle from the prediction.
+/// An innovation, place and angle relative to the prediction, as validation tests it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Motion {
+pub(super) struct InnovationCheck {
     /// Normalised square of the innovation, relative to the gate.
-    surprise: f64,
+    innovation_over_gate: f64,
     /// Innovation of the angle, in its standard deviations.
-    turn: f64,
+    turn_sigmas: f64,
     /// Additional agreement required, as a fraction of the contour, relative to a hand at its
     /// likeliest place.
-    unlikely: f64,
+    placement_penalty: f64,
 }
 
-impl Motion {
-    /// The deviation for an innovation; `surprise` is the gate on its normalised square, `unlikely`
-    /// is [`MotionPrior::unlikely`](super::motion_prior::MotionPrior::unlikely).
-    pub fn of(innovation: &Innovation<3>, surprise: f64, unlikely: f64) -> Self {
+impl InnovationCheck {
+    /// The check of an innovation; `innovation_gate` is the limit of its normalised square,
+    /// `placement_penalty` is
+    /// [`MotionPrior::placement_penalty`](super::motion_prior::MotionPrior::placement_penalty).
+    pub fn of(innovation: &Innovation<3>, innovation_gate: f64, placement_penalty: f64) -> Self {
         Self {
-            surprise: innovation.normalised_square() / surprise,
-            turn: innovation.vector[2].abs() / innovation.covariance[(2, 2)].sqrt(),
-            unlikely,
+            innovation_over_gate: innovation.normalised_square() / innovation_gate,
+            turn_sigmas: innovation.vector[2].abs() / innovation.covariance[(2, 2)].sqrt(),
+            placement_penalty,
         }
     }
 }
@@ -151,8 +152,10 @@ impl Validation<'_> {
                 return Err(Refusal::Size);
             }
         }
-        let impossible = |m: Motion| m.surprise > IMPOSSIBLE || m.turn > IMPOSSIBLE_TURN;
-        if self.motion.is_some_and(impossible) { Err(Refusal::Motion) } else { Ok(()) }
+        let impossible = |i: InnovationCheck| {
+            i.innovation_over_gate > IMPOSSIBLE || i.turn_sigmas > IMPOSSIBLE_TURN_SIGMAS
+        };
+        if self.innovation.is_some_and(impossible) { Err(Refusal::Motion) } else { Ok(()) }
     }
 
     /// Whether the fit is the hand. `likeness`, 0–1, is the weight of its edges by appearance.
@@ -167,10 +170,10 @@ impl Validation<'_> {
         found.refusal(&accept).map_or(Ok(()), Err)
     }
 
-    /// Required agreement: (share × `min_inliers` + unlikely) / likeness. It may exceed 1.
+    /// Required agreement: (share × `min_inliers` + placement penalty) / likeness. It may exceed 1.
     pub fn min_agreement(&self, fit: &Fit, likeness: f64) -> f64 {
-        let unlikely = self.motion.map_or(0.0, |motion| motion.unlikely);
-        (self.least_share(fit) * self.accept.min_inliers + unlikely) / likeness
+        let penalty = self.innovation.map_or(0.0, |check| check.placement_penalty);
+        (self.least_share(fit) * self.accept.min_inliers + penalty) / likeness
     }
 
     /// Factor on `min_inliers` at the likeliest place.
@@ -183,7 +186,7 @@ impl Validation<'_> {
         let limit = if fit.own_only { CONTRADICTED_BY_COVER } else { CONTRADICTED };
         let flanks = [Part::LeftFlank, Part::RightFlank].map(|part| fit.support.agreeing(part));
         let is_clear = contradicted <= limit && flanks.iter().all(|&f| f >= FLANK_SEEN);
-        if self.motion.is_some() && is_clear { PREDICTED_SHARE } else { 1.0 }
+        if self.innovation.is_some() && is_clear { PREDICTED_SHARE } else { 1.0 }
     }
 }
 
