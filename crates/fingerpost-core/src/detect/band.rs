@@ -11,13 +11,14 @@ use nalgebra::Vector3;
 use std::f64::consts::PI;
 use std::f64::consts::TAU;
 
-/// Half-width of the sampled core, as a part of the band's; the extent of the whole core, and the
-/// distance from the axis at which one half begins, in parts of the core's half-width.
-pub(super) const ACROSS: f64 = 0.55;
-pub(super) const WHOLE: (f64, f64) = (-1.0, 1.0);
-pub(super) const HALF_FROM: f64 = 0.2;
+/// Half-width of the sampled core of a band, as a part of the band's.
+pub(super) const CORE_HALF_WIDTH_PART: f64 = 0.55;
+/// Extent of the core across the band, in parts of its half-width.
+pub(super) const WHOLE_CORE: (f64, f64) = (-1.0, 1.0);
+/// Distance from the axis at which one half of the core begins, in the same unit.
+pub(super) const HALF_CORE_FROM: f64 = 0.2;
 /// Distance \[half-widths\] and angle \[rad\] within which two candidates are the same.
-pub(super) const SAME_PLACE: f64 = 1.5;
+pub(super) const SAME_PLACE_HALF_WIDTHS: f64 = 1.5;
 pub(super) const SAME_ANGLE_RAD: f64 = 0.5;
 
 /// Ranges of a thumb's angle to its finger \[rad\], of the distance from the fingertip back to the
@@ -90,7 +91,7 @@ impl RefinedCandidate {
     pub(super) fn is_same(&self, other: &Self) -> bool {
         let (a, b) = (&self.band, &other.band);
         let turn_rad = (a.angle_rad - b.angle_rad + PI).rem_euclid(TAU) - PI;
-        (a.tip - b.tip).norm() < SAME_PLACE * a.half_width_px.max(b.half_width_px)
+        (a.tip - b.tip).norm() < SAME_PLACE_HALF_WIDTHS * a.half_width_px.max(b.half_width_px)
             && turn_rad.abs() < SAME_ANGLE_RAD
     }
 
@@ -256,7 +257,7 @@ impl Inside {
             let along = -half_width_px * (0.6 + 3.0 * i as f64 / (ALONG - 1) as f64);
             for j in 0..PLACES {
                 let part = from + (to - from) * j as f64 / (PLACES - 1) as f64;
-                let across = half_width_px * ACROSS * part;
+                let across = half_width_px * CORE_HALF_WIDTH_PART * part;
                 if let Some(colour) = band_frame.pixel(along, across) {
                     count += 1.0;
                     sum += colour;
@@ -340,7 +341,7 @@ pub(super) fn refine_candidate(
     })?;
     band_frame.tip += band_frame.e * end;
 
-    let inside = Inside::of(&band_frame, half_width_px, WHOLE)?;
+    let inside = Inside::of(&band_frame, half_width_px, WHOLE_CORE)?;
     let score = band.score * stands_out(&band_frame, &inside, half_width_px)?;
     let band = Band { tip: band_frame.tip, angle_rad, half_width_px, ..*band };
     let foreground = inside_foreground(map, band.tip, angle_rad, half_width_px);
@@ -368,7 +369,7 @@ pub(super) fn half_lit_stands_out(
     w: f64,
 ) -> Option<f64> {
     let chromatic = band_frame.of_chromaticity()?;
-    let halves = [(-1.0, (-1.0, -HALF_FROM)), (1.0, (HALF_FROM, 1.0))];
+    let halves = [(-1.0, (-1.0, -HALF_CORE_FROM)), (1.0, (HALF_CORE_FROM, 1.0))];
     let [left, right] = halves.map(|(_, half)| Inside::of(band_frame, w, half));
     let (one, other) = (left.as_ref()?.mean.sum(), right.as_ref()?.mean.sum());
     if one.min(other) > HALF_LIT * one.max(other) {
@@ -379,7 +380,7 @@ pub(super) fn half_lit_stands_out(
             |band_frame| Inside::of(band_frame, w, half)?.unlike_part(band_frame, beside(w, side));
         Some(unlike(band_frame)?.max(unlike(&chromatic)?))
     });
-    let whole = Inside::of(&chromatic, w, WHOLE)?;
+    let whole = Inside::of(&chromatic, w, WHOLE_CORE)?;
     let ahead =
         inside.unlike_part(band_frame, ahead(w))?.max(whole.unlike_part(&chromatic, ahead(w))?);
     Some(finger_before_hand(&chromatic, &whole, w, [left?, right?, ahead]))

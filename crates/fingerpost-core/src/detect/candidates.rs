@@ -16,7 +16,7 @@
 
 pub use super::band::Candidate;
 use super::band::{
-    Band, BandFrame, Inside, RefinedCandidate, WHOLE, half_lit_stands_out, inside_foreground,
+    Band, BandFrame, Inside, RefinedCandidate, WHOLE_CORE, half_lit_stands_out, inside_foreground,
     refine_candidate, stands_out,
 };
 use super::orientation::{
@@ -178,7 +178,7 @@ impl HandFinder {
         Error::finite("angle [rad]", angle_rad)?;
         Error::within("half-width [px]", half_width_px, "above 0", |w| w > 0.0)?;
         let band_frame = BandFrame::new(frame, tip, angle_rad);
-        Ok(Inside::of(&band_frame, half_width_px, WHOLE).and_then(|inside| {
+        Ok(Inside::of(&band_frame, half_width_px, WHOLE_CORE).and_then(|inside| {
             let likeness = stands_out(&band_frame, &inside, half_width_px)?;
             let half_lit = half_lit_stands_out(&band_frame, &inside, half_width_px);
             Some(half_lit.map_or(likeness, |half_lit| half_lit.max(likeness)))

@@ -176,7 +176,7 @@ impl ContourTracker {
                 foreground_test.add(&placed);
             }
         });
-        foreground_test.is_free()
+        foreground_test.is_foreground()
     }
 
     /// The hand at the start pose, or near the fit of an earlier frame.

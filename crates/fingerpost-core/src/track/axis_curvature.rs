@@ -10,10 +10,11 @@
 //! not as long as a detected one.
 //!
 //! Therefore all lines of a hand are reported for one segment, the distal one that points
-//! ([`FRONT`]). They are measured on the whole finger, because the angle of a short segment is
+//! ([`FRONT_SEGMENT`]). They are measured on the whole finger, because the angle of a short segment is
 //! imprecise, and extrapolated to the front by the curvature measured from the pixels
 //! ([`PhotometricReport::bend_px`]), weighted by the part of it that is the finger's own
-//! ([`HALF_OWN`]); at weight 0 the line stays that of the whole finger ([`WHOLE`]). A finger is not
+//! ([`HALF_OWN`]); at weight 0 the line stays that of the whole finger
+//! ([`WHOLE_FINGER_SEGMENT`]). A finger is not
 //! a parabola at its knuckle: if its bend turns the line by more than the noise does, the pixels of
 //! the front are measured alone, and the difference of their line from that of the whole
 //! ([`FrontLine`]) replaces most of the curvature's correction.
@@ -42,17 +43,17 @@ use nalgebra::{Matrix2, Vector2};
 struct AxisSegment {
     /// Distance behind the tip at which it begins, and at which it ends for a finger seen from its
     /// side \[half-widths\]. If the hand's flanks usually end nearer to the tip, it ends there.
-    near: f64,
-    far: f64,
+    near_half_widths: f64,
+    far_half_widths: f64,
     /// Upper limit of the shift of the measured segment's middle, as a part of the measured
     /// half-length: beyond it the parabola is not extrapolated.
-    farthest: f64,
+    max_shift_part: f64,
 }
 
 impl AxisSegment {
     /// Distance of its end behind the tip in this view \[px\].
     fn far_px(&self, scale: &FingerScale) -> f64 {
-        self.far * scale.foreshortening * scale.half_width_px
+        self.far_half_widths * scale.foreshortening * scale.half_width_px
     }
 }
 
@@ -63,9 +64,11 @@ impl AxisSegment {
 /// but not its width: with fronts of a fixed length in half-widths their lines were turned by 0.15
 /// to 0.3° more. In views from the side, the knuckles of 16 hands lie 9.0 to 9.5 half-widths behind
 /// their tips: 60 % of that is 5.4 to 5.7.
-const FRONT: AxisSegment = AxisSegment { near: 0.76, far: 5.6, farthest: 0.4 };
+const FRONT_SEGMENT: AxisSegment =
+    AxisSegment { near_half_widths: 0.76, far_half_widths: 5.6, max_shift_part: 0.4 };
 /// The whole finger except its round end.
-const WHOLE: AxisSegment = AxisSegment { near: 0.3, far: 8.8, farthest: 0.15 };
+const WHOLE_FINGER_SEGMENT: AxisSegment =
+    AxisSegment { near_half_widths: 0.3, far_half_widths: 8.8, max_shift_part: 0.15 };
 /// Contrast-to-scatter ratio of the fainter flank at which half of the measured bend is the
 /// finger's own. On a flank of low contrast, shading displaces the edge; it bends the medial line
 /// as a joint does, and averaging frames does not reduce it. The part of the bend by which the line
@@ -201,7 +204,7 @@ impl AxisCurvature {
         if is_off(Mechanism::FrontLine) {
             return None;
         }
-        let far_px = FRONT.far_px(scale);
+        let far_px = FRONT_SEGMENT.far_px(scale);
         let length_px = whole.stretch.length_px();
         let turn_rad = 0.5 * self.own_curvature() * (length_px - far_px).max(0.0);
         let noise_rad2 = whole.covariance[(1, 1)] * ((length_px / far_px).powi(3) - 1.0);
@@ -244,9 +247,9 @@ impl AxisCurvature {
         foreshortening: f64,
     ) -> Cuts {
         let from_px = measured.middle_px();
-        let [whole, front] = [WHOLE, FRONT].map(|segment| {
+        let [whole, front] = [WHOLE_FINGER_SEGMENT, FRONT_SEGMENT].map(|segment| {
             let [near_px, far_px] = self.ends_px(&segment, foreshortening);
-            let most_px = segment.farthest * line.half_length_px;
+            let most_px = segment.max_shift_part * line.half_length_px;
             let by_px = ahead_px - 0.5 * (far_px + near_px) - from_px;
             let middle_px = from_px + by_px.clamp(-most_px, most_px);
             Cuts::of(&Stretch::about(middle_px, 0.5 * (far_px - near_px).max(0.0)))
@@ -260,7 +263,7 @@ impl AxisCurvature {
         let half_width_px = self.half_width_px.value;
         let far_px =
             self.far_px.value.min(segment.far_px(&FingerScale { half_width_px, foreshortening }));
-        [segment.near * half_width_px, far_px]
+        [segment.near_half_widths * half_width_px, far_px]
     }
 
     /// Standard deviation of the bias at either end of a line due to the bend, in parts of the

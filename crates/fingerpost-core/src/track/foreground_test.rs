@@ -4,13 +4,15 @@ use super::scene::Behind;
 use crate::geometry::shape_space::PlacedSample;
 use crate::numeric::ablation::{Mechanism, is_off};
 
-/// Distance inside and outside of the outline at which the foreground is sampled, as a part of the
-/// half-width and at least \[px\]; least mean foreground probability inside; and least difference
-/// from that outside, where a shadow may be taken for foreground too.
-const INSIDE_PART: f64 = 0.4;
-const INSIDE_PX: f64 = 3.0;
-const FREE_SHARE: f64 = 0.5;
-const FREE_CONTRAST: f64 = 0.2;
+/// Distance inside and outside of the outline at which the foreground is sampled \[half-widths\].
+const SAMPLED_HALF_WIDTHS: f64 = 0.4;
+/// Lower bound of that distance \[px\].
+const MIN_SAMPLED_PX: f64 = 3.0;
+/// Least mean foreground probability inside.
+const MIN_FOREGROUND_INSIDE: f64 = 0.5;
+/// Least difference of the mean foreground probability inside from that outside, where a shadow may
+/// be taken for foreground too.
+const MIN_FOREGROUND_CONTRAST: f64 = 0.2;
 
 /// Foreground probabilities inside and outside of an outline.
 pub(super) struct ForegroundTest<'a> {
@@ -23,7 +25,7 @@ pub(super) struct ForegroundTest<'a> {
 impl<'a> ForegroundTest<'a> {
     /// Without samples yet, for a finger of this half-width.
     pub fn before(behind: Behind<'a>, half_width_px: f64) -> Self {
-        let away_px = (INSIDE_PART * half_width_px).max(INSIDE_PX);
+        let away_px = (SAMPLED_HALF_WIDTHS * half_width_px).max(MIN_SAMPLED_PX);
         Self { behind, away_px, sides: [(0.0, 0.0); 2] }
     }
 
@@ -40,13 +42,13 @@ impl<'a> ForegroundTest<'a> {
 
     /// Whether the outline is that of an object before the background; `None` if its inside is
     /// unknown.
-    pub fn is_free(&self) -> Option<bool> {
+    pub fn is_foreground(&self) -> Option<bool> {
         if is_off(Mechanism::ForegroundTest) {
             return None;
         }
         let [inside, outside] = self.sides.map(|(sum, count)| (count > 0.0).then(|| sum / count));
         let inside = inside?;
-        let is_visible = outside.is_none_or(|around| around <= inside - FREE_CONTRAST);
-        Some(inside >= FREE_SHARE && is_visible)
+        let is_visible = outside.is_none_or(|around| around <= inside - MIN_FOREGROUND_CONTRAST);
+        Some(inside >= MIN_FOREGROUND_INSIDE && is_visible)
     }
 }

@@ -14,7 +14,7 @@ use super::foreground_test::ForegroundTest;
 use super::limbs::{THUMB_SIZES, finger_samples, thumb_samples};
 use super::options::{MIN_HALF_LENGTH_PX, TrackerOptions};
 use super::scene::Scene;
-use super::separation::{WHOLE, stands_out};
+use super::separation::{NEARLY_ALL_EXPLAINED, stands_out};
 use super::silhouette::{Shaft, Silhouette};
 use super::stage::{FitStage, SearchPlan};
 use crate::Result;
@@ -168,7 +168,8 @@ impl TemplateInitialiser<'_> {
             self.by_appearance(convergence, frame, fitted_finger, polarity)?;
         let score = self.score(&finger) / finger_samples(self.samples).len() as f64;
         let is_hand = self.stands_out(frame, &finger.shape, (separation, score))
-            && (score >= WHOLE || score * separation / (1.0 + separation) > LEAST_SCORE);
+            && (score >= NEARLY_ALL_EXPLAINED
+                || score * separation / (1.0 + separation) > LEAST_SCORE);
         if is_hand {
             let quality = self.quality(convergence, frame, &finger.shape, (score, separation));
             if quality > best.quality {
@@ -456,7 +457,7 @@ impl TemplateInitialiser<'_> {
             for sample in finger_samples(self.samples) {
                 foreground_test.add(&pose.place(sample));
             }
-            foreground_test.is_free()
+            foreground_test.is_foreground()
         })
     }
 

@@ -38,10 +38,10 @@ const CAP: f64 = 0.7;
 const SHARP_PX: f64 = 1.5;
 
 /// Period of learning the appearance of a hand that stays in place, in frames; one frame then
-/// counts as often. A hand that has moved by more than [`STAYS`] half-widths is learned at once: it
-/// is before another background, and its image is blurred by motion.
+/// counts as often. A hand that has moved by more than [`RELEARN_MIN_MOTION_HALF_WIDTHS`] is learned
+/// at once: it is before another background, and its image is blurred by motion.
 const FRAMES_A_LESSON: usize = 3;
-const STAYS: f64 = 0.5;
+const RELEARN_MIN_MOTION_HALF_WIDTHS: f64 = 0.5;
 
 /// Bias of a contour with a shaded flank, at either end \[px\]: the shaded flank is measured from
 /// colours alone, which a camera records at half the resolution, and the lit one from grey levels.
@@ -328,7 +328,8 @@ impl ContourTracker {
         let is_relit =
             self.hand.is_shown_in(frame) && found.fit.is_some_and(|fit| !fit.by_appearance);
         let place = self.hand.shape.placement().xy();
-        let is_in_place = (place - self.hand.taught_at_px).norm() <= STAYS * self.hand.acquired[3];
+        let moved_px = (place - self.hand.taught_at_px).norm();
+        let is_in_place = moved_px <= RELEARN_MIN_MOTION_HALF_WIDTHS * self.hand.acquired[3];
         self.hand.untaught_frames += 1;
         if is_relit {
             self.hand.appearance = None;

@@ -156,8 +156,8 @@ fn lines_of_different_segments_are_expressed_for_one() {
     bent.learn(&refined(curvature * HALF_PX * HALF_PX / 3.0, 0.0, Source::Photometric), true);
     for foreshortening in [1.0, 0.8] {
         let scale = FingerScale { half_width_px, foreshortening };
-        let far_px = FRONT.far * foreshortening * half_width_px;
-        let near_px = FRONT.near * half_width_px;
+        let far_px = FRONT_SEGMENT.far_half_widths * foreshortening * half_width_px;
+        let near_px = FRONT_SEGMENT.near_half_widths * half_width_px;
         let expected = line_over(curvature, far_px, near_px);
         for (more_far_px, more_near_px) in [(0.0, 0.0), (7.0, 1.0), (4.0, 4.0), (9.0, -1.0)] {
             let line = line_over(curvature, far_px + more_far_px, near_px + more_near_px);
@@ -233,7 +233,10 @@ fn the_front_is_measured_where_its_bend_exceeds_the_noise() {
 fn a_line_of_the_distal_segment_replaces_the_bend() {
     let (mut axis_curvature, _) = bent(0.01, 0.0, true);
     let half_width_px = 7.0;
-    let (far_px, near_px) = (FRONT.far * half_width_px, FRONT.near * half_width_px);
+    let (far_px, near_px) = (
+        FRONT_SEGMENT.far_half_widths * half_width_px,
+        FRONT_SEGMENT.near_half_widths * half_width_px,
+    );
     // A knuckle turns the line of the whole, not that of the front: no parabola does so.
     let whole = line_over(0.0, 66.0, near_px).moved(&Vector2::new(0.7, 0.05));
     let straight = line_over(0.0, far_px, near_px);
@@ -267,7 +270,7 @@ fn a_short_segment_is_not_extrapolated_beyond_its_limit() {
     let mut axis_curvature = AxisCurvature::default();
     axis_curvature
         .learn(&refined(curvature * HALF_PX * HALF_PX / 3.0, 0.0, Source::Photometric), true);
-    let near_px = FRONT.near * half_width_px;
+    let near_px = FRONT_SEGMENT.near_half_widths * half_width_px;
     // A segment that is always visible of this hand is the one the line is reported for.
     let short = line_over(curvature, 30.0, near_px);
     let difference =
@@ -279,7 +282,7 @@ fn a_short_segment_is_not_extrapolated_beyond_its_limit() {
         .at_front(shorter, None, &side_view(half_width_px))
         .difference(&shorter.axis)
         .y;
-    let limit = curvature * FRONT.farthest * shorter.half_length_px;
+    let limit = curvature * FRONT_SEGMENT.max_shift_part * shorter.half_length_px;
     assert!((turn.abs() - limit).abs() < 1e-9, "{turn} {limit}");
 }
 
