@@ -41,7 +41,7 @@ fn finger(scene: &Scene) -> Finger {
         taper: 0.0,
         flanks: [right, left],
         round_end_px: Some(round_end_px),
-        belief: None,
+        prior: None,
     }
 }
 

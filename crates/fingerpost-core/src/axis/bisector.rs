@@ -9,7 +9,7 @@
 use super::sketch::{FlankLines, SIDES, Sketch};
 use super::visible_flanks::VisibleFlanks;
 use crate::Result;
-use crate::axis::{Belief, BisectorOptions, BisectorReport};
+use crate::axis::{BisectorOptions, BisectorReport, WidthPrior};
 use crate::geometry::shape_space::PlacedSample;
 use crate::image::frame::Frame;
 use crate::measure::edge::{EdgeMeasurement, Polarity, Scale, SearchLine};
@@ -198,21 +198,26 @@ impl Bisector {
                 equations.push(&row(side, s), s.offset_px, s.variance_px2)?;
             }
         }
-        let known = at.belief.unwrap_or(Belief {
+        let width_prior = at.prior.unwrap_or(WidthPrior {
             half_width_px: at.half_width_px,
             taper: at.taper,
             half_width_sigma_px: SKETCH_SIGMA_PX,
             taper_sigma: SKETCH_TAPER_SIGMA,
             axis_sigmas: [SKETCH_SIGMA_PX, SKETCH_END_SIGMA_PX / at.half_length_px],
         });
-        let [offset_sigma_px, slope_sigma] = known.axis_sigmas;
-        let sigma = [offset_sigma_px, slope_sigma, known.half_width_sigma_px, known.taper_sigma];
-        let (lateral_px, turned) = at.belief.map_or((0.0, 0.0), |_| {
+        let [offset_sigma_px, slope_sigma] = width_prior.axis_sigmas;
+        let sigma = [
+            offset_sigma_px,
+            slope_sigma,
+            width_prior.half_width_sigma_px,
+            width_prior.taper_sigma,
+        ];
+        let (lateral_px, turned) = at.prior.map_or((0.0, 0.0), |_| {
             let lateral = sketch.origin - at.origin;
             (at.normal().dot(&lateral), at.along.perp(&sketch.along))
         });
         let (width_change_px, taper_change) =
-            (known.half_width_px - at.half_width_px, known.taper - at.taper);
+            (width_prior.half_width_px - at.half_width_px, width_prior.taper - at.taper);
         let prior = Prior {
             mean: SVector::from([lateral_px, turned, width_change_px, taper_change]),
             information: SMatrix::from_diagonal(&SVector::from(sigma.map(|s| s.powi(-2)))),

@@ -39,7 +39,7 @@
 //!     taper: 0.0,
 //!     flanks: [stretch; 2],
 //!     round_end_px: Some(30.0),
-//!     belief: None,
+//!     prior: None,
 //! };
 //! let mut refiner = Refiner::new(RefineOptions::default())?;
 //! let refined = refiner.refine(&frame, &finger, Polarity::Bright, None, None)?;
@@ -160,7 +160,7 @@ pub struct Finger {
     /// Prior knowledge of a finger that may be partly covered. Places along the flanks whose pixels
     /// do not have the colours of the hand inside and of the background outside are then left out.
     /// `None` if nothing covers the finger.
-    pub belief: Option<Belief>,
+    pub prior: Option<WidthPrior>,
 }
 
 impl Finger {
@@ -179,7 +179,7 @@ impl Finger {
 /// of its axis. Without it the few visible edges would fit a line turned by a quarter of a radian
 /// as well.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Belief {
+pub struct WidthPrior {
     /// Half-width at the anchor of the axis \[px\], positive.
     pub half_width_px: f64,
     /// Growth of the half-width per px towards the tip.
@@ -430,7 +430,7 @@ impl Refiner {
         let whole = Stretch { from_px: -start.half_length_px, to_px: start.half_length_px };
         let (source, sketch, covariance, stretch) = match (source_of_fit, &bisector) {
             (Some((p, source)), _) => (source, start.moved(&p.line), p.covariance, p.stretch),
-            (_, Some(b)) if self.options.believes_edges(&b.report) => {
+            (_, Some(b)) if self.options.accepts_bisector(&b.report) => {
                 (Source::Bisector, b.sketch, b.covariance, whole)
             }
             _ => return None,

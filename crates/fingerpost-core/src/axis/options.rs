@@ -165,7 +165,7 @@ impl RefineOptions {
 
 impl RefineOptions {
     /// Whether the photometric line is accepted alone.
-    pub(super) fn believes_pixels(&self, report: &PhotometricReport, noise_grey: f64) -> bool {
+    pub(super) fn accepts_photometric(&self, report: &PhotometricReport, noise_grey: f64) -> bool {
         let scatter = report.residual_grey;
         report.converged
             && scatter <= self.max_residual * noise_grey
@@ -177,7 +177,7 @@ impl RefineOptions {
 
     /// The rating of a photometric line: accepted alone, unsure, or rejected (`None`).
     pub(super) fn source_of(&self, report: &PhotometricReport, noise_grey: f64) -> Option<Source> {
-        if self.believes_pixels(report, noise_grey) {
+        if self.accepts_photometric(report, noise_grey) {
             return Some(Source::Photometric);
         }
         let is_unsure = report.converged
@@ -189,7 +189,7 @@ impl RefineOptions {
     }
 
     /// Whether the bisector is accepted.
-    pub(super) fn believes_edges(&self, report: &BisectorReport) -> bool {
+    pub(super) fn accepts_bisector(&self, report: &BisectorReport) -> bool {
         report.residual_px <= self.max_edge_residual_px
             && report.rejected <= self.max_edges_rejected
     }

@@ -3,7 +3,7 @@
 //! p runs along the finger from the middle of the stretch in use, q to its right, both in px.
 
 use super::Stretch;
-use crate::axis::{Belief, Finger, MAX_STRETCH_PX};
+use crate::axis::{Finger, MAX_STRETCH_PX, WidthPrior};
 use crate::{Error, Result};
 use nalgebra::{Point2, Vector2};
 
@@ -30,7 +30,7 @@ pub(super) struct Sketch {
     pub anchor_px: f64,
     pub tip_px: f64,
     /// The prior of a finger that may be covered, at p = 0.
-    pub belief: Option<Belief>,
+    pub prior: Option<WidthPrior>,
 }
 
 impl Sketch {
@@ -41,7 +41,7 @@ impl Sketch {
     /// When a number is not finite, the half-width not positive, or the stretch longer than
     /// [`MAX_STRETCH_PX`], which bounds the run time.
     pub fn of(finger: &Finger) -> Result<Option<Self>> {
-        let Finger { axis, half_width_px, taper, flanks, round_end_px, belief } = finger;
+        let Finger { axis, half_width_px, taper, flanks, round_end_px, prior } = finger;
         Error::finite("axis of the finger [px]", axis.anchor.coords.sum() + axis.tip.coords.sum())?;
         Error::finite("angle of the finger [rad]", axis.angle_rad)?;
         Error::within("half-width of the finger [px]", *half_width_px, "positive", |w| w > 0.0)?;
@@ -52,14 +52,13 @@ impl Sketch {
         if let Some(end) = round_end_px {
             Error::finite("middle of the round end [px]", *end)?;
         }
-        if let Some(belief) = belief {
-            Error::finite(
-                "width that is believed of the finger",
-                belief.half_width_px + belief.taper,
-            )?;
-            let [offset, angle] = belief.axis_sigmas;
-            for sigma in [belief.half_width_sigma_px, belief.taper_sigma, offset, angle] {
-                Error::within("uncertainty of what is believed", sigma, "positive", |s| s > 0.0)?;
+        if let Some(prior) = prior {
+            Error::finite("prior width of the finger [px]", prior.half_width_px + prior.taper)?;
+            let [offset, angle] = prior.axis_sigmas;
+            for sigma in [prior.half_width_sigma_px, prior.taper_sigma, offset, angle] {
+                Error::within("prior standard deviation of the finger", sigma, "positive", |s| {
+                    s > 0.0
+                })?;
             }
         }
         let Stretch { from_px: from, to_px: to } = finger.stretch();
@@ -81,7 +80,7 @@ impl Sketch {
             half_length_px: 0.5 * (to - from),
             anchor_px: -middle,
             tip_px: along.dot(&(axis.tip - axis.anchor)) - middle,
-            belief: belief.map(|g| Belief {
+            prior: prior.map(|g| WidthPrior {
                 half_width_px: g.half_width_px + g.taper * middle,
                 axis_sigmas: [g.axis_sigmas[0].hypot(g.axis_sigmas[1] * middle), g.axis_sigmas[1]],
                 ..g

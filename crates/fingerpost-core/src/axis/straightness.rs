@@ -159,13 +159,13 @@ impl Straightness {
     /// One of the halves. If the finger may be covered in part, enough of the half must be visible.
     fn half(&mut self, search: &HalfSearch<'_>, half: &Finger) -> Result<Option<BisectorFit>> {
         // The prior of the width is that of a straight finger.
-        let found = self.part(search, &Finger { belief: None, ..*half })?;
+        let found = self.part(search, &Finger { prior: None, ..*half })?;
         let Some(found) = found else { return Ok(None) };
-        if half.belief.is_none() {
+        if half.prior.is_none() {
             return Ok(Some(found));
         }
         // Visibility is measured at the fitted half: a bent half lies away from the searched place.
-        let fitted = Sketch { belief: half.belief, ..found.sketch };
+        let fitted = Sketch { prior: half.prior, ..found.sketch };
         self.visible.measure(search.frame, search.cue.appearance(), &fitted);
         Ok((self.visible.least_part() >= OWN_PART).then_some(found))
     }
@@ -192,8 +192,8 @@ impl Straightness {
         for turn_rad in TURNS_RAD {
             let angle_rad = other.along.y.atan2(other.along.x) + turn_rad;
             let axis = Axis::of_finger(joint, angle_rad, 0.0);
-            let (round_end_px, belief) = (None, None);
-            let part = Finger { axis, half_width_px, flanks, round_end_px, belief, ..*finger };
+            let (round_end_px, prior) = (None, None);
+            let part = Finger { axis, half_width_px, flanks, round_end_px, prior, ..*finger };
             let Some(sketch) = Sketch::of(&part)? else { continue };
             if least <= 0.0 || log_ratio(&sketch) <= 0.0 {
                 continue;

@@ -241,7 +241,7 @@ pub(super) struct UnknownsPrior {
 
 impl UnknownsPrior {
     /// The prior about the initial values; width and taper of a known hand are those of its
-    /// [`Belief`](crate::axis::Belief).
+    /// [`WidthPrior`](crate::axis::WidthPrior).
     pub fn about(
         start: &Unknowns,
         sketch: &Sketch,
@@ -260,9 +260,9 @@ impl UnknownsPrior {
         for own in [OWN, OWN + OWN_COUNT] {
             (sigma[own + 2], sigma[own + 3]) = (ramp * contrast, limb * contrast);
         }
-        if let Some(belief) = sketch.belief {
-            (mean[HALF_WIDTH], mean[TAPER]) = (belief.half_width_px, belief.taper);
-            (sigma[HALF_WIDTH], sigma[TAPER]) = (belief.half_width_sigma_px, belief.taper_sigma);
+        if let Some(prior) = sketch.prior {
+            (mean[HALF_WIDTH], mean[TAPER]) = (prior.half_width_px, prior.taper);
+            (sigma[HALF_WIDTH], sigma[TAPER]) = (prior.half_width_sigma_px, prior.taper_sigma);
         }
         Self { mean, information: sigma.map(|s| 1.0 / (s * s)) }
     }

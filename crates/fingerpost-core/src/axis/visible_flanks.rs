@@ -41,7 +41,7 @@ impl VisibleFlanks {
     ) {
         self.covered.iter_mut().for_each(Vec::clear);
         self.tested = [0; 2];
-        let Some(appearance) = appearance.filter(|_| sketch.belief.is_some()) else { return };
+        let Some(appearance) = appearance.filter(|_| sketch.prior.is_some()) else { return };
         let (e, n) = (sketch.along, sketch.normal());
         let flanks = self.covered.iter_mut().zip(&mut self.tested);
         for (((covered, count), side), flank) in flanks.zip(SIDES).zip(sketch.flanks) {

@@ -280,9 +280,9 @@ impl ContourTracker {
                 SearchPlan { edge_cue: EdgeCue::AnyEdge, ..SearchPlan::edges(half_length_px) };
             let turned = self.run_ribbon::<3>(frame, &x, Limb::Finger, plan, None)?;
             self.hand.acquired = x;
-            let held = self.held::<5>(&x, COLOUR_REFIT_SLACK);
+            let prior = self.tracked_prior::<5>(&x, COLOUR_REFIT_SLACK);
             let finger =
-                self.run_ribbon::<5>(frame, &turned.shape, Limb::Finger, plan, Some(&held))?;
+                self.run_ribbon::<5>(frame, &turned.shape, Limb::Finger, plan, Some(&prior))?;
             let found = FitResult::from(finger);
             if found.is_accepted(&self.options.acquire.accept) {
                 self.hand.shape = Shape::Ribbon(with_thumb_of(&x, &finger.shape));

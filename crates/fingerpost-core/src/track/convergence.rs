@@ -306,7 +306,7 @@ impl Convergence {
         self.image.shown(frame, mixture, || region_about(pixels.map(|p| (p, reach_px))))
     }
 
-    /// Gauss–Newton from `x` in this space. `believed` is a prior on the shape vector itself.
+    /// Gauss–Newton from `x` in this space. `prior` is on the shape vector itself.
     ///
     /// The fit is `None` if a step is not determined, and for a stage that another continues.
     pub fn run<S: ShapeSpace<D>, const D: usize>(
@@ -315,7 +315,7 @@ impl Convergence {
         space: &S,
         x: SVector<f64, D>,
         stage: &FitStage<'_>,
-        believed: Option<&Prior<D>>,
+        prior: Option<&Prior<D>>,
     ) -> Result<FitResult<SVector<f64, D>>> {
         let plan = &stage.plan;
         let mut half_length_px = plan.half_length_px;
@@ -326,15 +326,15 @@ impl Convergence {
             let pose = space.pose(&at.shape);
             let searched_px = half_length_px.min(plan.edges_within_px);
             self.measure(frame, &pose, stage, searched_px)?;
-            let prior =
-                believed.map(|b| Prior { mean: b.mean - at.shape, information: b.information });
+            let step_prior =
+                prior.map(|p| Prior { mean: p.mean - at.shape, information: p.information });
             let samples = self.visible.iter().map(|&i| &stage.samples[i]);
             let measured = samples.zip(self.normals.lines()).zip(self.normals.found());
             let equations = linearise(space, &pose, measured, &mut self.equations)?;
             let far_px = (half_length_px - MIN_HALF_LENGTH_PX).max(0.0) * FAR_SCALE;
             let least_px = self.fitter.options().min_scale_px.max(far_px);
             let scales_px = (least_px, stage.max_scale_px);
-            let fit = self.fitter.solve_with_scale(&equations, prior.as_ref(), scales_px);
+            let fit = self.fitter.solve_with_scale(&equations, step_prior.as_ref(), scales_px);
             if fit.outcome != Outcome::Determined {
                 return Ok(FitResult { fit: None, ..at });
             }

@@ -8,7 +8,7 @@ use super::shape::Shape;
 use super::stage::{Fit, SearchPlan, StageEnd, Window};
 use super::tracker::{ContourTracker, PINNED_SIGMA};
 use crate::Result;
-use crate::axis::Belief;
+use crate::axis::WidthPrior;
 use crate::geometry::planar::{
     Affine, AffineMap, PlanarSpace, Rigid, RigidShear, Similarity, Translation,
 };
@@ -20,12 +20,12 @@ use nalgebra::{Matrix2, SMatrix, SVector};
 
 /// Prior standard deviation of the half-widths of a tracked hand, as a fraction of the acquired
 /// ones.
-const HELD_WIDTH_SIGMA: f64 = 0.06;
+const TRACKED_WIDTH_SIGMA: f64 = 0.06;
 /// Prior standard deviation of its taper.
-const HELD_TAPER_SIGMA: f64 = 0.03;
+const TRACKED_TAPER_SIGMA: f64 = 0.03;
 /// Prior standard deviation of the thumb's root and spine, as a fraction of the finger's length:
 /// the thumb may move, and foreshortening moves its root.
-const HELD_THUMB_SIGMA: f64 = 0.1;
+const TRACKED_THUMB_SIGMA: f64 = 0.1;
 /// Largest ratio of a thumb's length or half-width to the acquired one, or its inverse.
 const THUMB_CHANGE: f64 = 1.7;
 /// Least explained fraction of a thumb.
@@ -68,17 +68,22 @@ impl ContourTracker {
             }
             Shape::Planar(map) => self.planar::<Rigid, 3>(frame, map, first)?.into(),
             Shape::Ribbon(x) => {
-                let belief = window.and_then(|w| w.belief());
-                let turned =
-                    self.run_ribbon::<3>(frame, &x, Limb::Finger, placement_plan, belief.as_ref())?;
+                let placement_prior = window.and_then(|w| w.prior());
+                let turned = self.run_ribbon::<3>(
+                    frame,
+                    &x,
+                    Limb::Finger,
+                    placement_plan,
+                    placement_prior.as_ref(),
+                )?;
                 let slack = if own_only { self.hand.slack() } else { 1.0 };
-                let mut held = self.held::<5>(&x, slack);
-                if let Some(Prior { mean, information }) = belief {
-                    held.mean.fixed_rows_mut::<3>(0).copy_from(&mean);
-                    held.information.fixed_view_mut::<3, 3>(0, 0).copy_from(&information);
+                let mut prior = self.tracked_prior::<5>(&x, slack);
+                if let Some(Prior { mean, information }) = placement_prior {
+                    prior.mean.fixed_rows_mut::<3>(0).copy_from(&mean);
+                    prior.information.fixed_view_mut::<3, 3>(0, 0).copy_from(&information);
                 }
                 let finger =
-                    self.run_ribbon::<5>(frame, &turned.shape, Limb::Finger, plan, Some(&held))?;
+                    self.run_ribbon::<5>(frame, &turned.shape, Limb::Finger, plan, Some(&prior))?;
                 match &finger.fit {
                     Some(fit) if self.hand.kind.has_thumb => {
                         self.fit_thumb(frame, &finger, fit, plan)?.into()
@@ -140,14 +145,14 @@ impl ContourTracker {
         fit: &Fit,
         plan: SearchPlan,
     ) -> Result<FitResult<RibbonVector>> {
-        let mut held = self.held::<RIBBON_DOF>(&finger.shape, 1.0);
+        let mut prior = self.tracked_prior::<RIBBON_DOF>(&finger.shape, 1.0);
         // The finger is held fixed while the thumb is fitted.
         for i in 0..5 {
-            held.mean[i] = finger.shape[i];
-            held.information[(i, i)] = PINNED_SIGMA.powi(-2);
+            prior.mean[i] = finger.shape[i];
+            prior.information[(i, i)] = PINNED_SIGMA.powi(-2);
         }
         let plan = SearchPlan { rest: StageEnd::Thumb, ..plan };
-        let whole = self.run_ribbon(frame, &finger.shape, Limb::Thumb, plan, Some(&held))?;
+        let whole = self.run_ribbon(frame, &finger.shape, Limb::Thumb, plan, Some(&prior))?;
         let Some(with_thumb) = whole.fit else { return Ok(*finger) };
         if !self.is_thumb(&whole.shape, &with_thumb) {
             // The thumb keeps its place.
@@ -192,7 +197,7 @@ impl ContourTracker {
         from: &RibbonVector,
         down_to: Limb,
         plan: SearchPlan,
-        held: Option<&Prior<D>>,
+        prior: Option<&Prior<D>>,
     ) -> Result<FitResult<RibbonVector>> {
         let space = self.ribbon::<D>(from)?;
         let samples = match down_to {
@@ -201,7 +206,7 @@ impl ContourTracker {
         };
         let stage = self.hand.stage(samples, frame, plan, self.options.polarity);
         let x = Ribbon::<D>::free(from);
-        let found = self.convergence.run_bands(frame, &space, x, &stage, held)?;
+        let found = self.convergence.run_bands(frame, &space, x, &stage, prior)?;
         Ok(found.map(|x| space.full(&x)))
     }
 
@@ -210,35 +215,39 @@ impl ContourTracker {
     }
 
     /// Prior on the width of a finger that an object may cover; `None` of one that is not covered.
-    pub(super) fn belief(&self, line_covariance: &Matrix2<f64>) -> Option<Belief> {
+    pub(super) fn width_prior(&self, line_covariance: &Matrix2<f64>) -> Option<WidthPrior> {
         let (acquired, slack) = (&self.hand.acquired, self.hand.slack());
-        self.hand.is_covered.then(|| Belief {
+        self.hand.is_covered.then(|| WidthPrior {
             half_width_px: acquired[3],
             taper: acquired[4],
-            half_width_sigma_px: slack * HELD_WIDTH_SIGMA * acquired[3],
-            taper_sigma: slack * HELD_TAPER_SIGMA,
+            half_width_sigma_px: slack * TRACKED_WIDTH_SIGMA * acquired[3],
+            taper_sigma: slack * TRACKED_TAPER_SIGMA,
             axis_sigmas: [0, 1].map(|i| line_covariance[(i, i)].sqrt()),
         })
     }
 
     /// Prior on the components that a hand cannot change: widths and taper about the acquired ones,
     /// the thumb about its last place.
-    pub(super) fn held<const D: usize>(&self, last: &RibbonVector, slack: f64) -> Prior<D> {
+    pub(super) fn tracked_prior<const D: usize>(
+        &self,
+        last: &RibbonVector,
+        slack: f64,
+    ) -> Prior<D> {
         let acquired = &self.hand.acquired;
-        let thumb_px = HELD_THUMB_SIGMA * self.hand.measure.length_px;
-        let held = [
+        let thumb_px = TRACKED_THUMB_SIGMA * self.hand.measure.length_px;
+        let expected = [
             (0.0, f64::INFINITY),
             (0.0, f64::INFINITY),
             (0.0, f64::INFINITY),
-            (acquired[3], HELD_WIDTH_SIGMA * acquired[3]),
-            (acquired[4], HELD_TAPER_SIGMA),
+            (acquired[3], TRACKED_WIDTH_SIGMA * acquired[3]),
+            (acquired[4], TRACKED_TAPER_SIGMA),
             (last[5], thumb_px),
             (last[6], thumb_px),
             (last[7], thumb_px),
-            (acquired[8], HELD_WIDTH_SIGMA * acquired[8]),
+            (acquired[8], TRACKED_WIDTH_SIGMA * acquired[8]),
         ];
         let mut prior = Prior { mean: SVector::zeros(), information: SMatrix::zeros() };
-        for (i, (mean, sigma)) in held.iter().take(D).enumerate() {
+        for (i, (mean, sigma)) in expected.iter().take(D).enumerate() {
             prior.mean[i] = *mean;
             prior.information[(i, i)] = (slack * sigma).powi(-2);
         }

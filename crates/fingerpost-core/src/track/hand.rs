@@ -18,7 +18,7 @@ use crate::numeric::ablation::{Mechanism, is_off};
 use nalgebra::Vector2;
 
 /// Rate at which the acquired widths and taper follow the fit, per accepted frame.
-const HELD_RATE: f64 = 0.05;
+const ACQUIRED_RATE: f64 = 0.05;
 /// Largest scale of the residual offsets of a hand that may be covered, relative to its usual
 /// scale. Edges of the covering object are not the hand's.
 const USUAL_TIMES: f64 = 2.0;
@@ -121,7 +121,7 @@ impl Hand {
     pub(super) fn grow(&mut self) {
         if let Shape::Ribbon(x) = self.shape {
             for k in [3, 4, 8] {
-                self.acquired[k] += HELD_RATE * (x[k] - self.acquired[k]);
+                self.acquired[k] += ACQUIRED_RATE * (x[k] - self.acquired[k]);
             }
         }
     }

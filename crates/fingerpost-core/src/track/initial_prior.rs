@@ -17,7 +17,7 @@ const THUMB_SIGMA: f64 = 0.3;
 impl TemplateInitialiser<'_> {
     /// The prior of a hand about `from`: no information about place and angle, weak information
     /// about size.
-    pub(super) fn belief<const D: usize>(&self, from: &RibbonVector) -> Prior<D> {
+    pub(super) fn initial_prior<const D: usize>(&self, from: &RibbonVector) -> Prior<D> {
         let thumb_px = THUMB_SIGMA * self.measure.length_px;
         let sigmas = [
             f64::INFINITY,

@@ -398,7 +398,7 @@ impl TemplateInitialiser<'_> {
         convergence: &mut Convergence,
         frame: &Scene<'_>,
         appearance: &AppearanceModel,
-        (from, believed): (&RibbonVector, &RibbonVector),
+        (from, prior_mean): (&RibbonVector, &RibbonVector),
         polarity: Polarity,
     ) -> Result<FitResult<RibbonVector>> {
         let reach_px = self.options.acquire.reach_px(self.initial[3]);
@@ -419,7 +419,7 @@ impl TemplateInitialiser<'_> {
             fitted = self.bands_with_model::<5>(
                 convergence,
                 frame,
-                (&fitted.shape, believed),
+                (&fitted.shape, prior_mean),
                 half_px,
                 search_model,
             )?;
@@ -525,20 +525,26 @@ impl TemplateInitialiser<'_> {
         self.bands::<RIBBON_DOF>(convergence, frame, from, from, half_length_px, polarity)
     }
 
-    /// Fits the first `D` components of the band template's shape vector, from `x`; `believed` is
-    /// the mean of the prior. For `D` up to 5 only the finger is fitted, and no thumb hides any of
+    /// Fits the first `D` components of the band template's shape vector, from `x`; `prior_mean`
+    /// is the mean of the prior. For `D` up to 5 only the finger is fitted, and no thumb hides any of
     /// it.
     fn bands<const D: usize>(
         &self,
         convergence: &mut Convergence,
         frame: &Scene<'_>,
         x: &RibbonVector,
-        believed: &RibbonVector,
+        prior_mean: &RibbonVector,
         half_length_px: f64,
         polarity: Polarity,
     ) -> Result<FitResult<RibbonVector>> {
         let search_model = SearchModel::unknown(polarity);
-        self.bands_with_model::<D>(convergence, frame, (x, believed), half_length_px, search_model)
+        self.bands_with_model::<D>(
+            convergence,
+            frame,
+            (x, prior_mean),
+            half_length_px,
+            search_model,
+        )
     }
 
     /// The same with a search model of the hand.
@@ -546,7 +552,7 @@ impl TemplateInitialiser<'_> {
         &self,
         convergence: &mut Convergence,
         frame: &Scene<'_>,
-        (x, believed): (&RibbonVector, &RibbonVector),
+        (x, prior_mean): (&RibbonVector, &RibbonVector),
         half_length_px: f64,
         search_model: SearchModel<'_>,
     ) -> Result<FitResult<RibbonVector>> {
@@ -554,7 +560,7 @@ impl TemplateInitialiser<'_> {
         let samples = if has_thumb { self.samples } else { finger_samples(self.samples) };
         let stage = stage(samples, search_model, half_length_px);
         let space = Ribbon::<D>::about(x, &self.measure.with_thumb(has_thumb))?;
-        let prior = (D > 3).then(|| self.belief::<D>(believed));
+        let prior = (D > 3).then(|| self.initial_prior::<D>(prior_mean));
         let start = Ribbon::<D>::free(x);
         let fitted_finger = convergence.run_bands(frame, &space, start, &stage, prior.as_ref())?;
         Ok(fitted_finger.map(|x| space.full(&x)))

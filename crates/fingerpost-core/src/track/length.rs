@@ -168,9 +168,9 @@ impl ContourTracker {
     ) -> Result<FitResult> {
         let from = with_length(x, &self.hand.measure, &measure);
         (self.hand.measure, self.hand.acquired) = (measure, from);
-        let held = self.held::<5>(&from, SLACK);
+        let prior = self.tracked_prior::<5>(&from, SLACK);
         let plan = SearchPlan::edges(near_px(x, MIN_HALF_LENGTH_PX));
-        let finger = self.run_ribbon::<5>(frame, &from, Limb::Finger, plan, Some(&held))?;
+        let finger = self.run_ribbon::<5>(frame, &from, Limb::Finger, plan, Some(&prior))?;
         self.hand.shape = Shape::Ribbon(with_thumb_of(&from, &finger.shape));
         Ok(finger.into())
     }

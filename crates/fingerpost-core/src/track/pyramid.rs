@@ -14,7 +14,7 @@ use super::line::FingerLine;
 use super::outcome::{Diagnostics, Track};
 use super::status::StartPose;
 use crate::Result;
-use crate::axis::{Belief, Finger, PhotometricReport, Refined};
+use crate::axis::{Finger, PhotometricReport, Refined, WidthPrior};
 use crate::geometry::shape_space::{Axis, PlacedSample};
 use crate::image::frame::{ColourView, Frame};
 use crate::image::gray::GrayView;
@@ -90,7 +90,7 @@ impl PyramidLevel {
             taper: finger.taper,
             flanks: finger.flanks.map(|stretch| stretch.scaled(px)),
             round_end_px: finger.round_end_px.map(|end| px * end),
-            belief: finger.belief.map(|b| Belief {
+            prior: finger.prior.map(|b| WidthPrior {
                 half_width_px: px * b.half_width_px,
                 half_width_sigma_px: px * b.half_width_sigma_px,
                 axis_sigmas: [px * b.axis_sigmas[0], b.axis_sigmas[1]],

@@ -296,9 +296,9 @@ impl ContourTracker {
         };
         let flanks = [right, left];
         let axis = self.ribbon::<RIBBON_DOF>(x)?.pose(x).axis();
-        let belief = self.by_contour(found).and_then(|line| self.belief(&line.covariance));
+        let prior = self.by_contour(found).and_then(|line| self.width_prior(&line.covariance));
         let round_end_px = Some(round_end_px);
-        let finger = Finger { axis, half_width_px, taper, flanks, round_end_px, belief };
+        let finger = Finger { axis, half_width_px, taper, flanks, round_end_px, prior };
         // A template may be longer than any image; such a finger is not refined from pixels.
         let is_longest = self.pyramid_level.px() * finger.stretch().length_px() > MAX_STRETCH_PX;
         Ok((!is_longest).then_some(finger))

@@ -203,8 +203,8 @@ impl ContourTracker {
         for _ in 0..ROUNDS {
             let Shape::Ribbon(x) = self.hand.shape else { return Ok(false) };
             self.hand.acquired = x;
-            let held = self.held::<5>(&x, SLACK);
-            let finger = self.run_ribbon::<5>(frame, &x, Limb::Finger, plan, Some(&held))?;
+            let prior = self.tracked_prior::<5>(&x, SLACK);
+            let finger = self.run_ribbon::<5>(frame, &x, Limb::Finger, plan, Some(&prior))?;
             if !FitResult::from(finger).is_accepted(&self.options.acquire.accept) {
                 return Ok(false);
             }

@@ -117,7 +117,7 @@ pub(super) struct Window {
 impl Window {
     /// Prior on (c_u, c_v, θ) of a hand at constant velocity; `None` for any other window, or for a
     /// singular covariance.
-    pub fn belief(&self) -> Option<Prior<3>> {
+    pub fn prior(&self) -> Option<Prior<3>> {
         let Expectation { vector, covariance } = self.expected;
         let information = covariance.try_inverse().filter(|_| self.own_only)?;
         Some(Prior { mean: vector, information })

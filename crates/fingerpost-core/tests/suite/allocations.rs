@@ -201,7 +201,7 @@ fn refining_an_axis() {
             taper: 0.0,
             flanks: [stretch; 2],
             round_end_px: Some(30.0 - half_width_px),
-            belief: None,
+            prior: None,
         };
         let frame = Frame::gray(picture.view());
         let (count, refined) =

@@ -5,7 +5,7 @@ use crate::common::{BentFinger, Canvas, Noise, Picture, Shape, covered_part};
 use fingerpost_core::appearance::histogram::HistogramModel;
 use fingerpost_core::axis::Stretch;
 use fingerpost_core::axis::{
-    Belief, Finger, KnownBackground, MAX_STRETCH_PX, RefineOptions, Refined, Refiner, Source,
+    Finger, KnownBackground, MAX_STRETCH_PX, RefineOptions, Refined, Refiner, Source, WidthPrior,
 };
 use fingerpost_core::geometry::shape_space::Axis;
 use fingerpost_core::measure::edge::Polarity;
@@ -99,7 +99,7 @@ impl Cone {
             taper: (w1 - w0) / length,
             flanks: [stretch, stretch],
             round_end_px: Some(0.5 * length + error * noise.normal()),
-            belief: None,
+            prior: None,
         }
     }
 
@@ -595,7 +595,7 @@ fn the_line_of_a_bent_finger_is_its_least_squares_line() {
             taper: 0.0,
             flanks,
             round_end_px: None,
-            belief: None,
+            prior: None,
         };
         let refined = refine(&mut refiner(), &picture, &finger).unwrap();
         assert_eq!(refined.source, Source::Photometric);
@@ -746,22 +746,22 @@ fn invalid_numbers_are_refused() {
         );
     }
     assert!(matches!(refused(Finger { taper: f64::NAN, ..finger }), Error::NotFinite { .. }));
-    let belief = Belief {
+    let prior = WidthPrior {
         half_width_px: 7.0,
         taper: 0.0,
         half_width_sigma_px: 0.1,
         taper_sigma: 0.01,
         axis_sigmas: [0.2, 0.01],
     };
-    for belief in [
-        Belief { half_width_px: f64::NAN, ..belief },
-        Belief { taper: f64::INFINITY, ..belief },
-        Belief { half_width_sigma_px: 0.0, ..belief },
-        Belief { taper_sigma: -0.1, ..belief },
-        Belief { axis_sigmas: [0.0, 0.01], ..belief },
-        Belief { axis_sigmas: [0.2, f64::NAN], ..belief },
+    for prior in [
+        WidthPrior { half_width_px: f64::NAN, ..prior },
+        WidthPrior { taper: f64::INFINITY, ..prior },
+        WidthPrior { half_width_sigma_px: 0.0, ..prior },
+        WidthPrior { taper_sigma: -0.1, ..prior },
+        WidthPrior { axis_sigmas: [0.0, 0.01], ..prior },
+        WidthPrior { axis_sigmas: [0.2, f64::NAN], ..prior },
     ] {
-        refused(Finger { belief: Some(belief), ..finger });
+        refused(Finger { prior: Some(prior), ..finger });
     }
     let end = Finger { round_end_px: Some(f64::NAN), ..finger };
     assert!(matches!(refused(end), Error::NotFinite { .. }));
@@ -1012,7 +1012,7 @@ fn bent_finger(bend_rad: f64, noise: &mut Noise) -> (BentFinger, Finger) {
         taper: 0.0,
         flanks,
         round_end_px: Some(29.0),
-        belief: None,
+        prior: None,
     };
     (finger, estimated)
 }
@@ -1133,7 +1133,7 @@ fn a_partly_occluded_finger_is_refined_by_its_visible_stretches() {
             let picture = discs.iter().fold(canvas, |canvas, disc| canvas.paint(disc, cover));
             let picture = picture.blur(0.96).take(2.0, &mut noise);
             let frame = Frame::gray(picture.view());
-            let belief = Some(Belief {
+            let prior = Some(WidthPrior {
                 half_width_px: 7.0 + 0.04 * noise.normal(),
                 taper: 0.003 * noise.normal(),
                 half_width_sigma_px: 0.04,
@@ -1145,7 +1145,7 @@ fn a_partly_occluded_finger_is_refined_by_its_visible_stretches() {
                     refiner.refine(&frame, finger_of, Polarity::Bright, Some(&appearance), None);
                 refined.unwrap().map(|r| ((r.axis.angle_rad - finger.angle_rad).sin(), r))
             };
-            let (turn, refined) = turned(&Finger { belief, ..estimated }).unwrap();
+            let (turn, refined) = turned(&Finger { prior, ..estimated }).unwrap();
             assert_eq!(refined.source, Source::Photometric, "{cover} {k}");
             let (bare_here, sigma2) = (turn * turn, refined.covariance[(1, 1)]);
             assert!(bare_here < 25.0 * sigma2, "{cover} {k}: {turn} {}", sigma2.sqrt());
