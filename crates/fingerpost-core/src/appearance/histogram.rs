@@ -33,7 +33,7 @@ const PRIOR_WEIGHT: f32 = 0.5;
 /// sampled further away because motion blurs the hand more than the lens does.
 pub(crate) const INSIDE_PX: [f64; 3] = [2.0, 3.0, 4.0];
 const OUTSIDE_PX: [f64; 3] = [4.0, 6.0, 8.0];
-const OWN_LOG_RATIO: f64 = 0.5;
+const INSIDE_LOG_RATIO: f64 = 0.5;
 const BEHIND_LOG_RATIO: f64 = 0.25;
 
 /// Log-likelihood ratios are stored in units of one over this.
@@ -263,7 +263,7 @@ impl HistogramModel {
 
     /// Whether the inside of an edge is like the hand, and its outside, in the direction of the
     /// unit vector `normal`, like the background: an occluder of the hand has edges as well.
-    pub(crate) fn is_own_edge(
+    pub(crate) fn matches_edge(
         &self,
         frame: &Frame<'_>,
         edge: Point2<f64>,
@@ -272,7 +272,7 @@ impl HistogramModel {
         let mean = |outward_px: [f64; 3]| {
             self.mean_log_ratio(frame, outward_px.map(|px| edge + normal * px))
         };
-        mean(INSIDE_PX.map(|px| -px)) >= OWN_LOG_RATIO && mean(OUTSIDE_PX) <= -BEHIND_LOG_RATIO
+        mean(INSIDE_PX.map(|px| -px)) >= INSIDE_LOG_RATIO && mean(OUTSIDE_PX) <= -BEHIND_LOG_RATIO
     }
 
     /// Whether most of the sampled pixels inside of an edge have levels or colours that were

@@ -69,7 +69,7 @@ const BEHIND: [f64; 2] = [-3.0, -0.6];
 /// \[half-widths\].
 const AHEAD: [f64; 2] = [0.8, 3.0];
 /// Minimum visible fraction of the flanks of a finger that may be covered.
-const OWN_PART: f64 = 0.5;
+const MIN_VISIBLE_PART: f64 = 0.5;
 /// Nominal image noise of the edge search; only the scatter of the edges is used \[grey levels\].
 const NOISE_GREY: f64 = 1.0;
 
@@ -167,7 +167,7 @@ impl Straightness {
         // Visibility is measured at the fitted half: a bent half lies away from the searched place.
         let fitted = Sketch { prior: half.prior, ..found.sketch };
         self.visible.measure(search.frame, search.cue.appearance(), &fitted);
-        Ok((self.visible.least_part() >= OWN_PART).then_some(found))
+        Ok((self.visible.least_part() >= MIN_VISIBLE_PART).then_some(found))
     }
 
     /// The part of the finger that is turned against `other` about a joint and whose pixels

@@ -27,12 +27,13 @@ const END: usize = 7;
 const END_SKEW: usize = 8;
 const INSIDE_CHANGE: usize = 9;
 const OUTSIDE_CHANGE: usize = 10;
-/// Unknowns of one flank: inside level a, background level b, slope c, limb l.
-const OWN: usize = 11;
-const OWN_COUNT: usize = 4;
+/// Index of the first unknown of the flanks, and their number on one flank: inside level a,
+/// background level b, slope c, limb l.
+const FLANKS: usize = 11;
+const PER_FLANK: usize = 4;
 
 /// Number of unknowns.
-pub(super) const UNKNOWNS: usize = OWN + 2 * OWN_COUNT;
+pub(super) const UNKNOWNS: usize = FLANKS + 2 * PER_FLANK;
 pub(super) type UnknownsVector = SVector<f64, UNKNOWNS>;
 pub(super) type UnknownsInformation = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
@@ -74,11 +75,11 @@ const SLOT_FEATURE: [usize; SLOTS] = [
 
 /// The unknowns on which a flank depends, and their slots. The edge of flank σ is σ times the
 /// bisector plus the half-width.
-const OBSERVED: usize = OWN + OWN_COUNT;
+const OBSERVED: usize = FLANKS + PER_FLANK;
 const OBSERVED_SLOT: [usize; OBSERVED] = [0, 1, 2, 0, 1, 2, 7, 10, 10, 4, 6, 3, 5, 8, 9];
 
 fn observed_unknown(seen: usize, flank: usize) -> usize {
-    if seen < OWN { seen } else { seen + flank * OWN_COUNT }
+    if seen < FLANKS { seen } else { seen + flank * PER_FLANK }
 }
 
 fn observed_sign(seen: usize, flank: usize) -> f64 {
@@ -125,8 +126,8 @@ impl Unknowns {
         x[BLUR] = blur_px;
         x[END] = sketch.round_end_px.unwrap_or(0.0);
         for (flank, [inside, outside]) in levels.into_iter().enumerate() {
-            x[OWN + flank * OWN_COUNT] = inside;
-            x[OWN + flank * OWN_COUNT + 1] = outside;
+            x[FLANKS + flank * PER_FLANK] = inside;
+            x[FLANKS + flank * PER_FLANK + 1] = outside;
         }
         Self(x)
     }
@@ -152,14 +153,16 @@ impl Unknowns {
 
     /// Contrast at a flank, finger minus background \[grey levels\].
     pub fn contrast_grey(&self, flank: usize) -> f64 {
-        self.0[OWN + flank * OWN_COUNT] - self.0[OWN + flank * OWN_COUNT + 1]
+        self.0[FLANKS + flank * PER_FLANK] - self.0[FLANKS + flank * PER_FLANK + 1]
     }
 
     /// Contrast at a flank, finger minus background, [`SHADED_PX`] inside the edge \[grey levels\].
     pub fn shaded_contrast_grey(&self, sketch: &Sketch, flank: usize) -> f64 {
         let depth = SHADED_PX / sketch.half_width_px;
-        let own = OWN + flank * OWN_COUNT;
-        self.contrast_grey(flank) + self.0[own + 2] * depth + self.0[own + 3] * (2.0 * depth).sqrt()
+        let first = FLANKS + flank * PER_FLANK;
+        self.contrast_grey(flank)
+            + self.0[first + 2] * depth
+            + self.0[first + 3] * (2.0 * depth).sqrt()
     }
 
     /// The profile of blocks of a flank with middles at p, whose levels and edges deviate by
@@ -175,10 +178,10 @@ impl Unknowns {
         let x = &self.0;
         let h = sketch.half_length_px;
         let edge = |k: usize| SIDES[flank] * x[OFFSET + k] + x[HALF_WIDTH + k];
-        let own = |k: usize| x[OWN + flank * OWN_COUNT + k];
+        let of_flank = |k: usize| x[FLANKS + flank * PER_FLANK + k];
         // e₀ + e₁ p + e₂ P₂, in powers of p.
         let [e0, e1, e2] = [edge(0), edge(1), edge(2)];
-        let (middle, inside, outside) = (e0 - 0.5 * e2, own(0), own(1));
+        let (middle, inside, outside) = (e0 - 0.5 * e2, of_flank(0), of_flank(1));
         Profile {
             edge: each(|i| (middle + effects[2][i]) as f32),
             edge_change: [e1, 1.5 * e2 / (h * h)].map(|e| e as f32),
@@ -187,8 +190,8 @@ impl Unknowns {
             inside_change: (x[INSIDE_CHANGE] / h) as f32,
             outside: each(|i| (outside + effects[1][i]) as f32),
             outside_change: (x[OUTSIDE_CHANGE] / h) as f32,
-            ramp: own(2) as f32,
-            limb: own(3) as f32,
+            ramp: of_flank(2) as f32,
+            limb: of_flank(3) as f32,
             half_width: each(|i| sketch.half_width_at(p[i]) as f32),
         }
     }
@@ -257,8 +260,8 @@ impl UnknownsPrior {
         (sigma[BLUR], sigma[END]) = (BLUR_SIGMA_PX, END_SIGMA_PX);
         sigma[END_SKEW] = END_SKEW_SIGMA * sketch.half_width_px;
         (sigma[INSIDE_CHANGE], sigma[OUTSIDE_CHANGE]) = (change * contrast, change * contrast);
-        for own in [OWN, OWN + OWN_COUNT] {
-            (sigma[own + 2], sigma[own + 3]) = (ramp * contrast, limb * contrast);
+        for first in [FLANKS, FLANKS + PER_FLANK] {
+            (sigma[first + 2], sigma[first + 3]) = (ramp * contrast, limb * contrast);
         }
         if let Some(prior) = sketch.prior {
             (mean[HALF_WIDTH], mean[TAPER]) = (prior.half_width_px, prior.taper);

@@ -51,7 +51,7 @@ impl VisibleFlanks {
                 let radius = sketch.half_width_at(p - into_end);
                 let across = (radius * radius - into_end * into_end).max(0.0).sqrt();
                 let normal = (e * into_end + n * (side * across)) / radius;
-                if !appearance.is_own_edge(frame, sketch.place(p, side * across), normal) {
+                if !appearance.matches_edge(frame, sketch.place(p, side * across), normal) {
                     covered.push(p);
                 }
                 *count += 1;

@@ -93,34 +93,43 @@ impl SearchModel<'_> {
             .map_or(self.cue, Cue::HandEdges)
     }
 
-    /// Whether an edge of a part of the outline is the hand's own; `search_frame` is the frame in
-    /// this search model's mixture. Without an appearance every edge is.
-    pub fn is_own_of(
+    /// Whether an edge of a part of the outline matches the appearance model; `search_frame` is the
+    /// frame in this search model's mixture. Without such a model every edge does.
+    pub fn matches_appearance_on(
         &self,
         part: Part,
         frame: &Frame<'_>,
         search_frame: &Frame<'_>,
         edge: &PlacedSample,
     ) -> bool {
-        SearchModel { cue: self.cue_of(part), ..*self }.is_own(frame, search_frame, edge)
+        SearchModel { cue: self.cue_of(part), ..*self }.matches_appearance(
+            frame,
+            search_frame,
+            edge,
+        )
     }
 
     /// The same for an edge on any part of the outline.
-    pub fn is_own(&self, frame: &Frame<'_>, search_frame: &Frame<'_>, edge: &PlacedSample) -> bool {
+    pub fn matches_appearance(
+        &self,
+        frame: &Frame<'_>,
+        search_frame: &Frame<'_>,
+        edge: &PlacedSample,
+    ) -> bool {
         self.cue.appearance().is_none_or(|appearance| {
-            appearance.is_own_edge(search_frame, edge.position, edge.normal)
+            appearance.matches_edge(search_frame, edge.position, edge.normal)
                 && self.has_shade(frame, edge)
         })
     }
 
     /// The same for an edge of the grey image, by the colours on its two sides.
-    pub fn is_own_in_grey(
+    pub fn matches_in_grey(
         &self,
         in_grey: &GreyCue<'_>,
         frame: &Frame<'_>,
         edge: &PlacedSample,
     ) -> bool {
-        in_grey.colours.is_own_edge(frame, edge.position, edge.normal)
+        in_grey.colours.matches_edge(frame, edge.position, edge.normal)
             && self.has_shade(frame, edge)
     }
 

@@ -12,8 +12,8 @@
 //! Therefore all lines of a hand are reported for one segment, the distal one that points
 //! ([`FRONT_SEGMENT`]). They are measured on the whole finger, because the angle of a short segment is
 //! imprecise, and extrapolated to the front by the curvature measured from the pixels
-//! ([`PhotometricReport::bend_px`]), weighted by the part of it that is the finger's own
-//! ([`HALF_OWN`]); at weight 0 the line stays that of the whole finger
+//! ([`PhotometricReport::bend_px`]), weighted by the part of it that is reliable
+//! ([`HALF_RELIABLE_CONTRAST_RATIO`]); at weight 0 the line stays that of the whole finger
 //! ([`WHOLE_FINGER_SEGMENT`]). A finger is not
 //! a parabola at its knuckle: if its bend turns the line by more than the noise does, the pixels of
 //! the front are measured alone, and the difference of their line from that of the whole
@@ -69,20 +69,20 @@ const FRONT_SEGMENT: AxisSegment =
 /// The whole finger except its round end.
 const WHOLE_FINGER_SEGMENT: AxisSegment =
     AxisSegment { near_half_widths: 0.3, far_half_widths: 8.8, max_shift_part: 0.15 };
-/// Contrast-to-scatter ratio of the fainter flank at which half of the measured bend is the
-/// finger's own. On a flank of low contrast, shading displaces the edge; it bends the medial line
+/// Contrast-to-scatter ratio of the fainter flank at which half of the measured bend is
+/// reliable. On a flank of low contrast, shading displaces the edge; it bends the medial line
 /// as a joint does, and averaging frames does not reduce it. The part of the bend by which the line
 /// is moved from the whole to the front is 1 / (1 + (this / ratio)⁴): nearly 1 at twice this ratio,
 /// hardly more than 0 at half of it. Without colours a shade resembles an edge, and the part is 0.
-const HALF_OWN: f64 = 14.0;
+const HALF_RELIABLE_CONTRAST_RATIO: f64 = 14.0;
 /// Error of the parabola's turn of the line, as a multiple of that turn. A parabola models a finger
 /// with a knuckle at its end badly: on two rendered hands, half and a fifth of the true bend were
 /// measured. If this error exceeds the noise of the front segment alone, the front is measured
-/// separately, provided that the turn exceeds [`LEAST_TURN_RAD`] \[rad\] and the finger's own part
-/// of the bend exceeds [`LEAST_OWN`].
+/// separately, provided that the turn exceeds [`LEAST_TURN_RAD`] \[rad\] and the reliable part of the
+/// bend exceeds [`MIN_RELIABLE_PART`].
 const OFF_BY: f64 = 2.0;
 const LEAST_TURN_RAD: f64 = 0.0035;
-const LEAST_OWN: f64 = 0.4;
+const MIN_RELIABLE_PART: f64 = 0.4;
 /// Standard deviation of the bias at either end of a line, as a part of the bend. As an angle it is
 /// the spread of lines through segments whose middles scatter by 0.18 half-lengths. On 38 films of
 /// rendered hands the 95 % ellipses then hold 91 % of the points by the exact medial lines; 87 % if
@@ -153,8 +153,8 @@ pub(super) struct AxisCurvature {
     bend: RunningMean,
     variance: RunningMean,
     half_length_px: RunningMean,
-    /// The part of the bend that is the finger's own, 0–1.
-    own_part: RunningMean,
+    /// The reliable part of the bend, 0–1: that of the finger rather than of its shading.
+    reliable_part: RunningMean,
     /// Weight of the bias of a faint flank, 0–1.
     faintness: RunningMean,
     /// Distance behind the tip of the end of the measured segments, and the half-width \[px\].
@@ -192,8 +192,12 @@ impl AxisCurvature {
         let contrast_grey = right.min(left);
         // No division by zero: rounding alone makes pixels scatter.
         let contrast_ratio = contrast_grey / report.residual_grey;
-        let own_part = if is_coloured { sigmoid(HALF_OWN, contrast_ratio, 4) } else { 0.0 };
-        self.own_part.learn(own_part, BEND_RATE);
+        let reliable_part = if is_coloured {
+            sigmoid(HALF_RELIABLE_CONTRAST_RATIO, contrast_ratio, 4)
+        } else {
+            0.0
+        };
+        self.reliable_part.learn(reliable_part, BEND_RATE);
         let texture_ratio = contrast_grey / texture_grey(&report, refined.noise_grey);
         self.faintness.learn(1.0 - sigmoid(FAINT, texture_ratio, 8), BEND_RATE);
     }
@@ -206,14 +210,15 @@ impl AxisCurvature {
         }
         let far_px = FRONT_SEGMENT.far_px(scale);
         let length_px = whole.stretch.length_px();
-        let turn_rad = 0.5 * self.own_curvature() * (length_px - far_px).max(0.0);
+        let turn_rad = 0.5 * self.significant_curvature() * (length_px - far_px).max(0.0);
         let noise_rad2 = whole.covariance[(1, 1)] * ((length_px / far_px).powi(3) - 1.0);
-        let is_bent = turn_rad.abs() > LEAST_TURN_RAD && self.own_part.value > LEAST_OWN;
+        let is_bent =
+            turn_rad.abs() > LEAST_TURN_RAD && self.reliable_part.value > MIN_RELIABLE_PART;
         (is_bent && (OFF_BY * turn_rad).powi(2) > noise_rad2).then_some(far_px)
     }
 
-    /// The line of a finger, moved from the segment of the whole towards the front by the part of
-    /// the bend that is the finger's own. With a separate measurement of the front, that supplies
+    /// The line of a finger, moved from the segment of the whole towards the front by the
+    /// reliable part of the bend. With a separate measurement of the front, that supplies
     /// most of the motion, and the curvature the rest.
     pub fn at_front(
         &mut self,
@@ -228,10 +233,10 @@ impl AxisCurvature {
         let ahead_px = (tip - anchor).dot(&line.axis.direction());
         self.half_width_px.learn(scale.half_width_px, SIZE_RATE);
         self.far_px.learn(ahead_px + line.half_length_px, SIZE_RATE);
-        let line = front.map_or(line, |front| front.moved_to_front(line, self.own_part.value));
+        let line = front.map_or(line, |front| front.moved_to_front(line, self.reliable_part.value));
         let measured = Cuts::of(&line.stretch);
         let target_cuts = self.target_cuts(&line, &measured, ahead_px, scale.foreshortening);
-        let cuts = measured.towards(target_cuts, self.own_bend());
+        let cuts = measured.towards(target_cuts, self.significant_part());
         let [turn_rad, twice_lateral_px] = ((cuts.0 - measured.0) * self.curvature()).into();
         let step = Vector2::new(0.5 * twice_lateral_px, turn_rad);
         FingerLine { stretch: cuts.stretch(), ..line.moved(&step) }
@@ -254,7 +259,7 @@ impl AxisCurvature {
             let middle_px = from_px + by_px.clamp(-most_px, most_px);
             Cuts::of(&Stretch::about(middle_px, 0.5 * (far_px - near_px).max(0.0)))
         });
-        whole.towards(front, self.own_part.value)
+        whole.towards(front, self.reliable_part.value)
     }
 
     /// Distances behind the tip at which a segment begins and ends \[px\], limited to the usual
@@ -289,14 +294,14 @@ impl AxisCurvature {
     }
 
     /// The part of the measured bend that exceeds its noise, 0–1.
-    fn own_bend(&self) -> f64 {
+    fn significant_part(&self) -> f64 {
         let squared = self.bend.value * self.bend.value;
         if squared > 0.0 { self.bend_squared() / squared } else { 0.0 }
     }
 
     /// The curvature times that part \[1/px\].
-    fn own_curvature(&self) -> f64 {
-        self.curvature() * self.own_bend()
+    fn significant_curvature(&self) -> f64 {
+        self.curvature() * self.significant_part()
     }
 
     /// Curvature of the medial line \[1/px\]; 0 without a measurement.

@@ -57,7 +57,7 @@ pub(super) struct Convergence {
     /// Edges that agree with the fit, whether each matches the appearance model inside, and samples
     /// without an edge.
     agreeing: Vec<PlacedSample>,
-    own: Vec<bool>,
+    matches: Vec<bool>,
     unseen: Vec<PlacedSample>,
     /// Residual offsets of the agreeing edges along the contour, with their part of the outline.
     left_over: Vec<(Part, f64)>,
@@ -82,7 +82,7 @@ impl Convergence {
             left_px: Vec::with_capacity(options.samples),
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
             agreeing: Vec::with_capacity(options.samples),
-            own: Vec::with_capacity(options.samples),
+            matches: Vec::with_capacity(options.samples),
             unseen: Vec::with_capacity(options.samples),
             left_over: Vec::with_capacity(options.samples),
             unknown: AppearanceModel::new(false),
@@ -258,13 +258,15 @@ impl Convergence {
         };
         let edges = self.agreeing.iter().map(|edge| (edge.position, KERNEL_REACH_PX));
         let search_frame = self.image.shown(frame, search_model.mixture, || region_about(edges))?;
-        self.own.clear();
-        self.own.extend(
-            self.agreeing.iter().map(|edge| search_model.is_own(frame, &search_frame, edge)),
+        self.matches.clear();
+        self.matches.extend(
+            self.agreeing
+                .iter()
+                .map(|edge| search_model.matches_appearance(frame, &search_frame, edge)),
         );
-        if 2 * self.own.iter().filter(|&&own| own).count() >= self.agreeing.len() {
-            let mut own = self.own.iter();
-            self.agreeing.retain(|_| own.next().is_some_and(|&own| own));
+        if 2 * self.matches.iter().filter(|&&is_match| is_match).count() >= self.agreeing.len() {
+            let mut matches = self.matches.iter();
+            self.agreeing.retain(|_| matches.next().is_some_and(|&is_match| is_match));
         }
         Ok(())
     }
@@ -426,12 +428,12 @@ impl Convergence {
         self.left_px.resize(self.visible.len(), f64::INFINITY);
         let search_frame =
             self.image.shown(frame, search_model.mixture, || self.normals.region())?;
-        self.normals.search(frame, &search_frame, search_model, plan.scale, plan.own_only)
+        self.normals.search(frame, &search_frame, search_model, plan.scale, plan.matched_only)
     }
 
     /// Fraction of the visible contour of the first `samples` whose edges are within `within_px` of
     /// the last fit and match the appearance model inside, 0–1.
-    pub fn own_share(
+    pub fn matched_share(
         &mut self,
         frame: &Scene<'_>,
         search_model: &SearchModel<'_>,
@@ -441,17 +443,23 @@ impl Convergence {
         let search_frame =
             self.image.shown(frame, search_model.mixture, || self.normals.region())?;
         let mut residuals = self.fitter.residuals().iter();
-        let (mut own, mut visible) = (0_usize, 0_usize);
+        let (mut matched, mut visible) = (0_usize, 0_usize);
         for (line, (&i, found)) in self.visible.iter().zip(self.normals.found()).enumerate() {
             let is_near = found.is_ok() && residuals.next().is_some_and(|r| r.abs() < within_px);
             if i < samples {
                 visible += 1;
-                own += usize::from(
-                    is_near && self.normals.is_own(line, frame, &search_frame, search_model),
+                matched += usize::from(
+                    is_near
+                        && self.normals.matches_appearance(
+                            line,
+                            frame,
+                            &search_frame,
+                            search_model,
+                        ),
                 );
             }
         }
-        Ok(own as f64 / visible.max(1) as f64)
+        Ok(matched as f64 / visible.max(1) as f64)
     }
 
     /// Records the absolute residuals of the edges that agree with the last solution.
@@ -512,7 +520,7 @@ impl Convergence {
             support: self.support(stage.samples),
             residual_rms_px: fit.residual_rms_px,
             rank: fit.rank,
-            own_only: stage.plan.own_only,
+            matched_only: stage.plan.matched_only,
             edge_cue: stage.search_model.edge_cue,
             by_appearance: stage.search_model.cue.appearance().is_some(),
         }

@@ -48,8 +48,8 @@ impl ContourTracker {
         (from, scale, window, edge_cue): Path,
     ) -> Result<FitResult> {
         let near_px = window.map_or(self.near_px(), |w| w.near_px);
-        let own_only = window.is_some_and(|w| w.own_only);
-        let plan = SearchPlan { edge_cue, scale, own_only, ..SearchPlan::edges(near_px) };
+        let matched_only = window.is_some_and(|w| w.matched_only);
+        let plan = SearchPlan { edge_cue, scale, matched_only, ..SearchPlan::edges(near_px) };
         let first = match window {
             Some(Window { gate, .. }) => {
                 SearchPlan { window, half_length_px: gate.longest_px(), ..plan }
@@ -76,7 +76,7 @@ impl ContourTracker {
                     placement_plan,
                     placement_prior.as_ref(),
                 )?;
-                let slack = if own_only { self.hand.slack() } else { 1.0 };
+                let slack = if matched_only { self.hand.slack() } else { 1.0 };
                 let mut prior = self.tracked_prior::<5>(&x, slack);
                 if let Some(Prior { mean, information }) = placement_prior {
                     prior.mean.fixed_rows_mut::<3>(0).copy_from(&mean);

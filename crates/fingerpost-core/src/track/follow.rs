@@ -71,7 +71,7 @@ impl ContourTracker {
                 self.hand.grow();
                 self.hand.count_thumb(&found, lose_after_frames);
                 self.hand.count_partly(&found);
-                if found.fit.is_some_and(|fit| fit.own_only) {
+                if found.fit.is_some_and(|fit| fit.matched_only) {
                     self.learn_behind(frame)?;
                 } else {
                     self.update_appearance(frame, &found)?;
@@ -102,8 +102,12 @@ impl ContourTracker {
         let Some(dynamics) = self.dynamics else { return Ok(None) };
         Ok(match dynamics.predict(time_s)? {
             Prediction::Expected(expected) => {
-                let window =
-                    Window { expected, gate: self.gate, near_px: self.near_px(), own_only: false };
+                let window = Window {
+                    expected,
+                    gate: self.gate,
+                    near_px: self.near_px(),
+                    matched_only: false,
+                };
                 Some(MotionPrediction { dynamics, time_s, window })
             }
             Prediction::Lost { .. } => None,

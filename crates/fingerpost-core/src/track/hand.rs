@@ -26,9 +26,9 @@ const USUAL_TIMES: f64 = 2.0;
 const USUAL_LEAST_PX: f64 = 0.2;
 /// Rate at which the usual scale follows, per frame.
 const USUAL_RATE: f64 = 0.1;
-/// Distance from the fit within which an edge may be the hand's own, in units of the largest scale
+/// Distance from the fit within which an edge that matches the appearance model counts, in units of the largest scale
 /// of its residual offsets.
-const OWN_SCALES: f64 = 1.5;
+const MATCHED_WITHIN_SCALES: f64 = 1.5;
 /// Prior standard deviation of the dimensions of a covered hand, relative to that of a hand seen
 /// whole. From one frame to the next a hand of constant size hardly changes.
 const COVERED_SLACK: f64 = 0.1;
@@ -191,7 +191,7 @@ impl Hand {
         polarity: Polarity,
     ) -> FitStage<'a> {
         let search_model = self.search_model(frame, plan.edge_cue, polarity);
-        let max_scale_px = if plan.own_only { self.max_scale_px() } else { f64::INFINITY };
+        let max_scale_px = if plan.matched_only { self.max_scale_px() } else { f64::INFINITY };
         FitStage { samples, search_model, plan, max_scale_px }
     }
 
@@ -237,9 +237,9 @@ impl Hand {
         (USUAL_TIMES * self.usual_px).max(USUAL_LEAST_PX)
     }
 
-    /// Largest distance of an own edge from a fit at its true place \[px\].
-    pub(super) fn own_within_px(&self) -> f64 {
-        (OWN_SCALES * self.max_scale_px()).min(SUPPORT_PX)
+    /// Largest distance of a matching edge from a fit at its true place \[px\].
+    pub(super) fn matched_within_px(&self) -> f64 {
+        (MATCHED_WITHIN_SCALES * self.max_scale_px()).min(SUPPORT_PX)
     }
 
     /// Slack of the prior on its dimensions, relative to that of a hand seen whole. An object that

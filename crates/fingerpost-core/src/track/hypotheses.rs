@@ -50,7 +50,7 @@ struct Hypothesis {
     /// Fraction of the finger's contour whose edges are explained and match the appearance model
     /// inside, divided by 1 + d / finger length, where d is the distance that the hand extends
     /// beyond the tip.
-    own: f64,
+    matched: f64,
     /// Penalty on its motion ([`MotionPrior::ranking_penalty`]); ∞ if the hand cannot have changed
     /// or moved to it, or without a fit.
     ///
@@ -67,11 +67,11 @@ struct RankedMotion {
 }
 
 impl Hypothesis {
-    /// Score: own + [`UNLIKE_WEIGHT`] (explained − own) − ranking penalty. Edges whose inside does
-    /// not match the appearance model may be those of an occluding object.
+    /// Score: matched + [`UNLIKE_WEIGHT`] (explained − matched) − ranking penalty. Edges whose
+    /// inside does not match the appearance model may be those of an occluding object.
     fn score(&self) -> f64 {
-        let unmatched = (self.found.explained() - self.own).max(0.0);
-        self.own + UNLIKE_WEIGHT * unmatched - self.ranking_penalty
+        let unmatched = (self.found.explained() - self.matched).max(0.0);
+        self.matched + UNLIKE_WEIGHT * unmatched - self.ranking_penalty
     }
 }
 
@@ -283,7 +283,8 @@ impl ContourTracker {
         let expected = MOST * found.explained();
         let by_appearance = found.fit.is_some_and(|fit| fit.by_appearance);
         let likeness = if by_appearance && expected > 0.0 {
-            (self.own_share(frame, found.edges(), SUPPORT_PX)? / expected).clamp(UNLIKE_WEIGHT, 1.0)
+            (self.matched_share(frame, found.edges(), SUPPORT_PX)? / expected)
+                .clamp(UNLIKE_WEIGHT, 1.0)
         } else {
             1.0
         };
@@ -314,17 +315,17 @@ impl ContourTracker {
             None => f64::INFINITY,
         };
         let extension = self.goes_on_px(frame, &found.shape)? / self.hand.measure.length_px;
-        let own =
-            self.own_share(frame, found.edges(), self.hand.own_within_px())? / (1.0 + extension);
-        Ok(Hypothesis { found: *found, path, own, ranking_penalty })
+        let matched = self.matched_share(frame, found.edges(), self.hand.matched_within_px())?
+            / (1.0 + extension);
+        Ok(Hypothesis { found: *found, path, matched, ranking_penalty })
     }
 
     /// Fraction of the finger's contour whose edges are within `within_px` of the last fit and
     /// match the appearance model inside, 0–1.
-    fn own_share(&mut self, frame: &Scene<'_>, edges: EdgeCue, within_px: f64) -> Result<f64> {
+    fn matched_share(&mut self, frame: &Scene<'_>, edges: EdgeCue, within_px: f64) -> Result<f64> {
         let samples = self.hand.fingers(&self.samples);
         let search_model = self.hand.search_model(frame, edges, self.options.polarity);
-        self.convergence.own_share(frame, &search_model, samples, within_px)
+        self.convergence.matched_share(frame, &search_model, samples, within_px)
     }
 
     /// Distance that the hand extends beyond the tip of a finger, by the appearance model \[px\]; 0

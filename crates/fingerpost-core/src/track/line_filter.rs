@@ -46,7 +46,7 @@ const OTHER: f64 = 100.0;
 const ONE_LOOK_WIDTHS: f64 = 0.5;
 /// Upper limit of the independent part of the variance of a line at rest, the part that is new in
 /// every frame.
-const MOST_OWN_PART: f64 = 0.5;
+const MAX_INDEPENDENT_PART: f64 = 0.5;
 /// Multiple of the texture pose's covariance in the difference of two lines: it enters once for
 /// each.
 const POSE_TERMS: f64 = 2.0;
@@ -73,7 +73,7 @@ struct LineState {
     /// at the texture's middle, and angle \[rad\].
     line: Vector2<f64>,
     /// Its covariance. For a finger at rest: without the error common to all its lines, and with
-    /// the independent part at its upper limit, [`MOST_OWN_PART`].
+    /// the independent part at its upper limit, [`MAX_INDEPENDENT_PART`].
     covariance: Matrix2<f64>,
     /// The measurement at rest that it comes from, while the finger rests.
     rest: Option<RestingLine>,
@@ -127,7 +127,7 @@ impl RestingLine {
             POSE_TERMS * (inverse * observation.texture_pose.covariance).trace();
         let chi_squared =
             observation.innovation.dot(&(inverse * observation.innovation)) - registration_term;
-        let most = 2.0 + (inverse * state).trace() / MOST_OWN_PART;
+        let most = 2.0 + (inverse * state).trace() / MAX_INDEPENDENT_PART;
         Some(Self {
             chi_squared: self.chi_squared + chi_squared,
             most_chi_squared: self.most_chi_squared + most,
@@ -135,24 +135,24 @@ impl RestingLine {
         })
     }
 
-    /// The independent part of the variance of its lines, 0 to [`MOST_OWN_PART`].
-    fn own_part(&self) -> f64 {
+    /// The independent part of the variance of its lines, 0 to [`MAX_INDEPENDENT_PART`].
+    fn independent_part(&self) -> f64 {
         if self.chi_squared > 0.0 {
-            MOST_OWN_PART.min(self.chi_squared / self.most_chi_squared)
+            MAX_INDEPENDENT_PART.min(self.chi_squared / self.most_chi_squared)
         } else {
             0.0
         }
     }
 
-    /// Covariance of the combined line: the common part, and the state's covariance `own`, in which
-    /// the independent part was at its limit.
-    fn combined_covariance(&self, own: &Matrix2<f64>) -> Option<Matrix2<f64>> {
-        Some(self.common()? + own * (self.own_part() / MOST_OWN_PART))
+    /// Covariance of the combined line: the common part, and the state's covariance, in which the
+    /// independent part was at its limit.
+    fn combined_covariance(&self, state: &Matrix2<f64>) -> Option<Matrix2<f64>> {
+        Some(self.common()? + state * (self.independent_part() / MAX_INDEPENDENT_PART))
     }
 
     /// Covariance of the error common to its lines.
     fn common(&self) -> Option<Matrix2<f64>> {
-        Some(self.information.try_inverse()? * (self.frames * (1.0 - self.own_part())))
+        Some(self.information.try_inverse()? * (self.frames * (1.0 - self.independent_part())))
     }
 }
 
@@ -212,7 +212,7 @@ impl LineFilter {
         let covariance = line.expressed_at(&pose).covariance;
         self.state = is_seen.then(|| LineState {
             line: Vector2::zeros(),
-            covariance: covariance * MOST_OWN_PART,
+            covariance: covariance * MAX_INDEPENDENT_PART,
             rest: RestingLine::at(pose).with_line(&covariance),
             variance_factor: 1.0,
             frames: BELIEVED_FRAMES,
@@ -291,19 +291,19 @@ impl LineState {
         let line_covariance = observation.measured.covariance;
         let rest =
             rest.with_residual(observation, &self.covariance)?.with_line(&line_covariance)?;
-        let own_part = rest.own_part();
-        let filtered = if own_part > 0.0 {
-            let expected =
-                self.covariance * (own_part / MOST_OWN_PART) + observation.texture_pose.covariance;
+        let independent_part = rest.independent_part();
+        let filtered = if independent_part > 0.0 {
+            let expected = self.covariance * (independent_part / MAX_INDEPENDENT_PART)
+                + observation.texture_pose.covariance;
             observation.combined(
                 &(expected * observation.inflation),
-                &(line_covariance * own_part),
+                &(line_covariance * independent_part),
                 |_| rest.common(),
             )?
         } else {
             observation.line
         };
-        let state = self.updated(observation, &(line_covariance * MOST_OWN_PART))?;
+        let state = self.updated(observation, &(line_covariance * MAX_INDEPENDENT_PART))?;
         Some((Self { rest: Some(rest), ..state }, filtered))
     }
 
@@ -353,7 +353,8 @@ impl LineState {
             Some(RestingLine::at(observation.texture_pose.axis).with_line(&line_covariance)?);
         Some(Self {
             line,
-            covariance: line_covariance * MOST_OWN_PART + observation.texture_pose.covariance,
+            covariance: line_covariance * MAX_INDEPENDENT_PART
+                + observation.texture_pose.covariance,
             rest,
             ..self
         })

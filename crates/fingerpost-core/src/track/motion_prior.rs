@@ -63,7 +63,7 @@ impl MotionPrior {
     pub fn constant_velocity(self, window: &Window) -> Window {
         let Expectation { vector, covariance } = window.expected;
         let expected = Expectation { vector, covariance: covariance * self.expected() };
-        Window { expected, near_px: MIN_HALF_LENGTH_PX, own_only: true, ..*window }
+        Window { expected, near_px: MIN_HALF_LENGTH_PX, matched_only: true, ..*window }
     }
 
     /// Additional agreement required of a fit at its place, as a fraction of the contour:

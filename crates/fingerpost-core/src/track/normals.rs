@@ -117,15 +117,15 @@ impl Normals {
     }
 
     /// Searches every line of a scene; `search_frame` is its frame in the search model's mixture.
-    /// Edges that the background explains are dropped; with `own_only`, so are edges that are not
-    /// like the hand inside.
+    /// Edges that the background explains are dropped; with `matched_only`, so are edges that do
+    /// not match the appearance model inside.
     pub fn search(
         &mut self,
         scene: &Scene<'_>,
         search_frame: &Frame<'_>,
         search_model: &SearchModel<'_>,
         scale: Scale,
-        own_only: bool,
+        matched_only: bool,
     ) -> Result<()> {
         let lines = (self.lines.as_slice(), self.parts.as_slice());
         let (of_part, found) = (&mut self.found_of_part, &mut self.found);
@@ -135,9 +135,10 @@ impl Normals {
         if let Some(in_grey) = &search_model.in_grey {
             self.search_in_grey(scene, search_model, in_grey, scale)?;
         }
-        if own_only {
+        if matched_only {
             for line in 0..self.lines.len() {
-                if self.found[line].is_ok() && !self.is_own(line, scene, search_frame, search_model)
+                if self.found[line].is_ok()
+                    && !self.matches_appearance(line, scene, search_frame, search_model)
                 {
                     self.found[line] = Err(Miss::NoContrast);
                 }
@@ -177,16 +178,16 @@ impl Normals {
             if is_known {
                 continue;
             }
-            if search_model.is_own_in_grey(in_grey, scene, &at_edge(line, edge)) {
+            if search_model.matches_in_grey(in_grey, scene, &at_edge(line, edge)) {
                 (*found, *in_place) = (*grey, true);
             }
         }
         Ok(())
     }
 
-    /// Whether the edge of a line is the hand's own; `search_frame` is the frame in the search
-    /// model's mixture.
-    pub fn is_own(
+    /// Whether the edge of a line matches the appearance model inside; `search_frame` is the frame
+    /// in the search model's mixture.
+    pub fn matches_appearance(
         &self,
         line: usize,
         frame: &Frame<'_>,
@@ -197,9 +198,9 @@ impl Normals {
         let edge = at_edge(&self.lines[line], edge);
         match &search_model.in_grey {
             Some(in_grey) if self.in_grey[line] => {
-                search_model.is_own_in_grey(in_grey, frame, &edge)
+                search_model.matches_in_grey(in_grey, frame, &edge)
             }
-            _ => search_model.is_own_of(self.parts[line], frame, search_frame, &edge),
+            _ => search_model.matches_appearance_on(self.parts[line], frame, search_frame, &edge),
         }
     }
 

@@ -78,7 +78,7 @@ impl ContourTracker {
         };
         let mut front = None;
         if let (Some(finger), Some(refined)) = (&finger, &refined)
-            && has_own_pixels(found)
+            && is_uncovered(found)
         {
             self.axis_curvature.learn(refined, frame.colour().is_some());
             front = self.front_of(frame, finger, found, refined)?;
@@ -165,7 +165,7 @@ impl ContourTracker {
     }
 
     /// The line from contour and pixels where neither is trusted alone. Their difference is learned
-    /// from frames with the hand's own pixels.
+    /// from frames in which no object may cover the hand.
     fn by_both(
         &mut self,
         found: &FitResult,
@@ -174,7 +174,7 @@ impl ContourTracker {
     ) -> Option<FingerLine> {
         let contour = contour_line(found)?;
         let Refined { half_width_px, taper, stretch, .. } = *refined;
-        if has_own_pixels(found) {
+        if is_uncovered(found) {
             self.variance_factor.learn(&contour, &pixels, half_width_px);
         }
         let (pixels, contour) =
@@ -201,7 +201,7 @@ impl ContourTracker {
     /// The finger, with the agreeing part of its flanks; of a covered hand, all visible flanks.
     fn finger_of(&self, x: &RibbonVector, found: &FitResult) -> Result<Option<Finger>> {
         // An occluder may lie over the middle of a flank; the refinement excludes its pixels.
-        let flanks = if has_own_pixels(found) { Flanks::Agreeing } else { Flanks::Visible };
+        let flanks = if is_uncovered(found) { Flanks::Agreeing } else { Flanks::Visible };
         self.finger(x, found, flanks)
     }
 
@@ -382,9 +382,9 @@ impl ContourTracker {
     }
 }
 
-/// Whether the pixels about the flanks are the hand's own: an occluder has other pixels.
-fn has_own_pixels(found: &FitResult) -> bool {
-    !found.fit.is_some_and(|fit| fit.own_only)
+/// Whether the pixels about the flanks are the hand's: an occluder has other pixels.
+fn is_uncovered(found: &FitResult) -> bool {
+    !found.fit.is_some_and(|fit| fit.matched_only)
 }
 
 /// The line of a fit's contour.

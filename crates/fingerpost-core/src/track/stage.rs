@@ -60,7 +60,7 @@ pub(super) struct SearchPlan {
     pub window: Option<Window>,
     pub rest: StageEnd,
     /// Whether only edges that match the appearance model inside count.
-    pub own_only: bool,
+    pub matched_only: bool,
 }
 
 impl SearchPlan {
@@ -74,7 +74,7 @@ impl SearchPlan {
             edges_within_px: f64::INFINITY,
             window: None,
             rest: StageEnd::Reported,
-            own_only: false,
+            matched_only: false,
         }
     }
 }
@@ -111,7 +111,7 @@ pub(super) struct Window {
     pub near_px: f64,
     /// Whether edges that do not match the appearance model inside are attributed to a covering
     /// object.
-    pub own_only: bool,
+    pub matched_only: bool,
 }
 
 impl Window {
@@ -119,7 +119,7 @@ impl Window {
     /// singular covariance.
     pub fn prior(&self) -> Option<Prior<3>> {
         let Expectation { vector, covariance } = self.expected;
-        let information = covariance.try_inverse().filter(|_| self.own_only)?;
+        let information = covariance.try_inverse().filter(|_| self.matched_only)?;
         Some(Prior { mean: vector, information })
     }
 
@@ -147,7 +147,7 @@ pub(super) struct Fit {
     pub residual_rms_px: f64,
     pub rank: usize,
     /// Whether only edges that match the appearance model inside counted.
-    pub own_only: bool,
+    pub matched_only: bool,
     /// The edge cue, and whether the appearance model selected the edges.
     pub edge_cue: EdgeCue,
     pub by_appearance: bool,

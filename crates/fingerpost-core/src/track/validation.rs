@@ -178,12 +178,12 @@ impl Validation<'_> {
 
     /// Factor on `min_inliers` at the likeliest place.
     fn least_share(&self, fit: &Fit) -> f64 {
-        if fit.own_only && fit.residual_rms_px <= self.most_scatter_px {
+        if fit.matched_only && fit.residual_rms_px <= self.most_scatter_px {
             return COVERED_SHARE;
         }
         let contradicted =
             (fit.counts.hits - fit.counts.inliers) as f64 / fit.counts.visible.max(1) as f64;
-        let limit = if fit.own_only { CONTRADICTED_BY_COVER } else { CONTRADICTED };
+        let limit = if fit.matched_only { CONTRADICTED_BY_COVER } else { CONTRADICTED };
         let flanks = [Part::LeftFlank, Part::RightFlank].map(|part| fit.support.agreeing(part));
         let is_clear = contradicted <= limit && flanks.iter().all(|&f| f >= FLANK_SEEN);
         if self.innovation.is_some() && is_clear { PREDICTED_SHARE } else { 1.0 }

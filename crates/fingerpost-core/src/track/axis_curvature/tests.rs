@@ -66,7 +66,7 @@ fn a_faint_flank_moves_the_line_only_part_of_the_way_to_the_front() {
     let bend_px = curvature * HALF_PX * HALF_PX / 3.0;
     let turn = |faintest: f64, is_coloured: bool| {
         let observed = refined(bend_px, 0.0, Source::Unsure);
-        let contrast_grey = [-1e9, faintest * HALF_OWN * RESIDUAL_GREY];
+        let contrast_grey = [-1e9, faintest * HALF_RELIABLE_CONTRAST_RATIO * RESIDUAL_GREY];
         let photometric = observed.photometric.map(|p| PhotometricReport { contrast_grey, ..p });
         let mut axis_curvature = AxisCurvature::default();
         axis_curvature.learn(&Refined { photometric, ..observed }, is_coloured);
@@ -75,8 +75,8 @@ fn a_faint_flank_moves_the_line_only_part_of_the_way_to_the_front() {
     };
     let [whole, front] = [turn(1e9, false), turn(1e9, true)];
     assert!((front - whole).abs() > 0.01, "{whole} {front}");
-    for (faintest, own_part) in [(0.0, 0.0), (1.0, 0.5), (-2.0, 16.0 / 17.0)] {
-        let expected = whole + own_part * (front - whole);
+    for (faintest, reliable_part) in [(0.0, 0.0), (1.0, 0.5), (-2.0, 16.0 / 17.0)] {
+        let expected = whole + reliable_part * (front - whole);
         assert!((turn(faintest, true) - expected).abs() < 1e-9, "{faintest}");
     }
 }
@@ -181,7 +181,7 @@ fn a_line_cuts_the_medial_line_where_its_segment_implies() {
     // Moved all of the way, or part of it for a bend that may be noise or shade.
     for (sigma_px, faintest) in [(0.0, 1e9), (0.0, 1.0), (0.7 * bend_px, 1e9), (9.0, 1e9)] {
         let observed = refined(bend_px, sigma_px, Source::Photometric);
-        let contrast_grey = [1e9, faintest * HALF_OWN * RESIDUAL_GREY];
+        let contrast_grey = [1e9, faintest * HALF_RELIABLE_CONTRAST_RATIO * RESIDUAL_GREY];
         let photometric = observed.photometric.map(|p| PhotometricReport { contrast_grey, ..p });
         let mut axis_curvature = AxisCurvature::default();
         axis_curvature.learn(&Refined { photometric, ..observed }, true);
