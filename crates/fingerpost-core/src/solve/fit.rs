@@ -26,7 +26,7 @@ pub use equations::{EquationBuffer, Equations};
 use super::fit::equations::{LANES, Lanes};
 use super::fit::factor::{Factor, NormalEquations, determined, two_stage};
 use super::fit::lanes::{
-    Accumulate, INLIER_WEIGHT, LeftOver, Select, Statistics, Weigh, WeightSums, total,
+    Accumulate, INLIER_WEIGHT, ComputeResiduals, Select, Statistics, Weigh, WeightSums, total,
 };
 use crate::numeric::simd::{Isa, each};
 use crate::{Error, Result};
@@ -330,7 +330,7 @@ impl Fitter {
         let mut squares_px2 = [0.0; LANES];
         let sizes = sizes.as_flattened_mut();
         let squares = &mut squares_px2;
-        self.isa.run(LeftOver { equations, step, residuals, sizes, squares_px2: squares });
+        self.isa.run(ComputeResiduals { equations, step, residuals, sizes, squares_px2: squares });
         (total(&squares_px2) / equations.len().max(1) as f64).sqrt()
     }
 

@@ -24,12 +24,17 @@ use nalgebra::{Point2, SMatrix, SVector};
 
 /// Factor by which the search lines shrink once a step is shorter than half their half-length.
 const SHRINK: f64 = 0.7;
-/// Within a window, half-length of the next lines in units of the last step.
-const LEFT: f64 = 3.0;
+/// Bound on the motion that remains until convergence, in units of the last step: within a window,
+/// the half-length of the next search lines.
+const MAX_REMAINING_STEPS: f64 = 3.0;
 /// Lower bound of the residual offsets' scale, as a fraction of the half-length beyond
 /// [`MIN_HALF_LENGTH_PX`]: only a few samples at the tip determine how far the finger has slid
 /// along itself, and must keep their weight.
 const FAR_SCALE: f64 = 0.2;
+/// Least robust weight of an edge by which appearance, separation and sharpness are measured. It
+/// exceeds that of an inlier of the fit, 0.1: an edge with a smaller weight lies so far from the
+/// contour that the pixels beside it may be on the other side.
+const LEARNED_MIN_WEIGHT: f64 = 0.5;
 /// Sharpness of a flank: the grey-level difference across its edges at these distances to either
 /// side, relative to that at [`ABOUT_EDGE_PX`] \[px\].
 const NEAR_EDGE_PX: [f64; 2] = [1.0, 2.0];
@@ -52,7 +57,7 @@ pub(super) struct Convergence {
     visible: Vec<usize>,
     /// Absolute residual of the edge of each line \[px\]; infinite where it does not agree with the
     /// fit, or without a fit.
-    left_px: Vec<f64>,
+    abs_residuals_px: Vec<f64>,
     equations: EquationBuffer,
     /// Edges that agree with the fit, whether each matches the appearance model inside, and samples
     /// without an edge.
@@ -60,7 +65,7 @@ pub(super) struct Convergence {
     matches: Vec<bool>,
     unseen: Vec<PlacedSample>,
     /// Residual offsets of the agreeing edges along the contour, with their part of the outline.
-    left_over: Vec<(Part, f64)>,
+    agreeing_residuals: Vec<(Part, f64)>,
     /// Appearance models of an unknown hand: one for evaluating separation, and one for leading the
     /// search, `None` while lent.
     unknown: AppearanceModel,
@@ -79,12 +84,12 @@ impl Convergence {
             max_iterations: options.max_iterations,
             correlation: options.correlation,
             visible: Vec::with_capacity(options.samples),
-            left_px: Vec::with_capacity(options.samples),
+            abs_residuals_px: Vec::with_capacity(options.samples),
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
             agreeing: Vec::with_capacity(options.samples),
             matches: Vec::with_capacity(options.samples),
             unseen: Vec::with_capacity(options.samples),
-            left_over: Vec::with_capacity(options.samples),
+            agreeing_residuals: Vec::with_capacity(options.samples),
             unknown: AppearanceModel::new(false),
             leading: Some(leading),
             image: DiscriminantImage::default(),
@@ -105,7 +110,7 @@ impl Convergence {
     /// fit.
     pub fn search_lines(&self) -> impl ExactSizeIterator<Item = SearchedLine<'_>> {
         let searched = self.normals.lines().iter().zip(self.normals.found());
-        let found = searched.zip(&self.left_px);
+        let found = searched.zip(&self.abs_residuals_px);
         found.map(|((line, found), px)| SearchedLine { line, found, agrees: px.is_finite() })
     }
 
@@ -222,14 +227,14 @@ impl Convergence {
     }
 
     /// Collects the finger's samples of the last search, the first `samples` of all, whose edges
-    /// agree with the fit, each moved to its edge.
+    /// agree closely with the fit ([`LEARNED_MIN_WEIGHT`]), each moved to its edge.
     fn gather_agreeing(&mut self, samples: usize) {
         self.agreeing.clear();
         let hits = self.visible.iter().zip(self.normals.lines()).zip(self.normals.found());
         let agreeing = hits
             .filter_map(|((&i, line), found)| found.as_ref().ok().map(|edge| (i, line, edge)))
             .zip(self.fitter.weights())
-            .filter(|&((i, ..), &weight)| i < samples && weight > 0.5)
+            .filter(|&((i, ..), &weight)| i < samples && weight > LEARNED_MIN_WEIGHT)
             .map(|((_, line, edge), _)| at_edge(line, edge));
         self.agreeing.extend(agreeing);
     }
@@ -279,7 +284,7 @@ impl Convergence {
         samples: &[TemplateSample],
         part: Part,
     ) -> impl DoubleEndedIterator<Item = (f64, Option<f64>)> {
-        let measured = self.normals.found().iter().zip(&self.left_px);
+        let measured = self.normals.found().iter().zip(&self.abs_residuals_px);
         let searched = self.visible.iter().zip(measured);
         searched.filter_map(move |(&i, (found, &px))| {
             let sample = samples.get(i).filter(|s| s.part() == part)?;
@@ -350,7 +355,8 @@ impl Convergence {
             if moved_px < half_length_px / 2.0 {
                 let shrunk_px = half_length_px * SHRINK;
                 // Within the window, one step brings the contour most of the way.
-                let remaining_px = plan.window.map_or(shrunk_px, |_| LEFT * moved_px);
+                let remaining_px =
+                    plan.window.map_or(shrunk_px, |_| MAX_REMAINING_STEPS * moved_px);
                 half_length_px = shrunk_px.min(remaining_px).max(MIN_HALF_LENGTH_PX);
             }
         }
@@ -370,19 +376,19 @@ impl Convergence {
             return f64::INFINITY;
         }
         let furthest_px = residuals.iter().fold(0.0, |px: f64, r| px.max(r.abs()));
-        (furthest_px + LEFT * moved_px).max(MIN_HALF_LENGTH_PX)
+        (furthest_px + MAX_REMAINING_STEPS * moved_px).max(MIN_HALF_LENGTH_PX)
     }
 
     /// Design effect: number of correlated edge measurements that carry the information of one
     /// independent measurement.
     fn design_effect(&mut self, samples: &[TemplateSample]) -> f64 {
-        let Self { visible, normals, fitter, left_over, .. } = self;
+        let Self { visible, normals, fitter, agreeing_residuals, .. } = self;
         let hits = visible.iter().zip(normals.found()).filter(|(_, found)| found.is_ok());
         let measured = hits.zip(fitter.residuals()).zip(fitter.agreeing());
         let agreeing = measured.filter(|(_, agrees)| *agrees);
-        left_over.clear();
-        left_over.extend(agreeing.map(|(((&i, _), &px), _)| (samples[i].part(), px)));
-        design_effect(left_over)
+        agreeing_residuals.clear();
+        agreeing_residuals.extend(agreeing.map(|(((&i, _), &px), _)| (samples[i].part(), px)));
+        design_effect(agreeing_residuals)
     }
 
     /// The visible samples of the contour at `x`, in order, and the offsets of their edges \[px\],
@@ -424,8 +430,8 @@ impl Convergence {
                 self.normals.push(sample.part(), line);
             }
         }
-        self.left_px.clear();
-        self.left_px.resize(self.visible.len(), f64::INFINITY);
+        self.abs_residuals_px.clear();
+        self.abs_residuals_px.resize(self.visible.len(), f64::INFINITY);
         let search_frame =
             self.image.shown(frame, search_model.mixture, || self.normals.region())?;
         self.normals.search(frame, &search_frame, search_model, plan.scale, plan.matched_only)
@@ -464,11 +470,12 @@ impl Convergence {
 
     /// Records the absolute residuals of the edges that agree with the last solution.
     fn mark_agreeing(&mut self) {
-        let hits = self.left_px.iter_mut().zip(self.normals.found()).filter(|(_, m)| m.is_ok());
+        let hits =
+            self.abs_residuals_px.iter_mut().zip(self.normals.found()).filter(|(_, m)| m.is_ok());
         let fitted = self.fitter.residuals().iter().zip(self.fitter.agreeing());
-        for ((left_px, _), (residual_px, agrees)) in hits.zip(fitted) {
+        for ((abs_residual_px, _), (residual_px, agrees)) in hits.zip(fitted) {
             if agrees {
-                *left_px = residual_px.abs();
+                *abs_residual_px = residual_px.abs();
             }
         }
     }

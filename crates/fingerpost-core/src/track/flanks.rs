@@ -51,12 +51,12 @@ impl FlankExtent {
     fn of(from_tip: impl Iterator<Item = (f64, Option<f64>)>, within_px: f64) -> Option<Self> {
         let mut extent = None::<Self>;
         let mut sum = 0;
-        for (along, left_px) in from_tip {
-            sum += left_px.map_or(0, |px| balance(px, within_px));
+        for (along, abs_residual_px) in from_tip {
+            sum += abs_residual_px.map_or(0, |px| balance(px, within_px));
             let start = Self { visible_from: along, agrees_from: along, agreeing: sum, edges: 0 };
             let extent = extent.get_or_insert(start);
             extent.visible_from = along;
-            extent.edges += i32::from(left_px.is_some());
+            extent.edges += i32::from(abs_residual_px.is_some());
             if sum >= extent.agreeing {
                 (extent.agrees_from, extent.agreeing) = (along, sum);
             }
@@ -201,8 +201,8 @@ impl Convergence {
 }
 
 /// Contribution of an edge to the number that agree minus those that do not.
-fn balance(left_px: f64, within_px: f64) -> i32 {
-    if left_px < within_px { 1 } else { -1 }
+fn balance(abs_residual_px: f64, within_px: f64) -> i32 {
+    if abs_residual_px < within_px { 1 } else { -1 }
 }
 
 /// Prior that fixes a shape vector.

@@ -91,7 +91,7 @@ pub(super) fn total(lanes: &Lanes) -> f64 {
 }
 
 /// Residual offsets after a step.
-pub(super) struct LeftOver<'a, const D: usize> {
+pub(super) struct ComputeResiduals<'a, const D: usize> {
     pub(super) equations: &'a Equations<'a, D>,
     pub(super) step: &'a SVector<f64, D>,
     pub(super) residuals: &'a mut [Lanes],
@@ -99,7 +99,7 @@ pub(super) struct LeftOver<'a, const D: usize> {
     pub(super) squares_px2: &'a mut Lanes,
 }
 
-impl<const D: usize> Work for LeftOver<'_, D> {
+impl<const D: usize> Work for ComputeResiduals<'_, D> {
     #[inline(always)]
     fn run(self) {
         let Self { equations, step, residuals, sizes, squares_px2 } = self;
