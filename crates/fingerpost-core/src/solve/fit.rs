@@ -26,7 +26,7 @@ pub use equations::{EquationBuffer, Equations};
 use super::fit::equations::{LANES, Lanes};
 use super::fit::factor::{Factor, NormalEquations, determined, two_stage};
 use super::fit::lanes::{
-    Accumulate, INLIER_WEIGHT, ComputeResiduals, Select, Statistics, Weigh, WeightSums, total,
+    Accumulate, ComputeResiduals, INLIER_WEIGHT, Select, Statistics, Weigh, WeightSums, total,
 };
 use crate::numeric::simd::{Isa, each};
 use crate::{Error, Result};

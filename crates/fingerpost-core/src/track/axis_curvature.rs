@@ -33,6 +33,7 @@
 //! [`PhotometricReport::bend_px`]: crate::axis::PhotometricReport::bend_px
 
 use super::line::FingerLine;
+use super::running_mean::RunningMean;
 use crate::axis::Stretch;
 use crate::axis::{PhotometricReport, Refined, Source};
 use crate::geometry::shape_space::Axis;
@@ -162,20 +163,6 @@ pub(super) struct AxisCurvature {
     half_width_px: RunningMean,
 }
 
-/// A running mean.
-#[derive(Debug, Clone, Copy, Default)]
-struct RunningMean {
-    value: f64,
-    frames: f64,
-}
-
-impl RunningMean {
-    fn learn(&mut self, value: f64, rate: f64) {
-        self.frames += 1.0;
-        self.value += (1.0 / self.frames).max(rate) * (value - self.value);
-    }
-}
-
 impl AxisCurvature {
     /// Learns from the pixels of a frame, if they agree with the model of a finger; `is_coloured`
     /// says whether the frame has colours.
@@ -185,9 +172,9 @@ impl AxisCurvature {
             return;
         };
         let half_length_px = report.half_length_px;
-        self.half_length_px.learn(half_length_px, SIZE_RATE);
-        self.bend.learn(report.bend_px / half_length_px, BEND_RATE);
-        self.variance.learn((report.bend_sigma_px / half_length_px).powi(2), BEND_RATE);
+        self.half_length_px.learn(half_length_px, 1.0, SIZE_RATE);
+        self.bend.learn(report.bend_px / half_length_px, 1.0, BEND_RATE);
+        self.variance.learn((report.bend_sigma_px / half_length_px).powi(2), 1.0, BEND_RATE);
         let [right, left] = report.contrast_grey.map(f64::abs);
         let contrast_grey = right.min(left);
         // No division by zero: rounding alone makes pixels scatter.
@@ -197,9 +184,9 @@ impl AxisCurvature {
         } else {
             0.0
         };
-        self.reliable_part.learn(reliable_part, BEND_RATE);
+        self.reliable_part.learn(reliable_part, 1.0, BEND_RATE);
         let texture_ratio = contrast_grey / texture_grey(&report, refined.noise_grey);
-        self.faintness.learn(1.0 - sigmoid(FAINT, texture_ratio, 8), BEND_RATE);
+        self.faintness.learn(1.0 - sigmoid(FAINT, texture_ratio, 8), 1.0, BEND_RATE);
     }
 
     /// Distance behind the tip \[px\] of the flanks' end for a separate measurement of the front;
@@ -231,8 +218,8 @@ impl AxisCurvature {
         }
         let Axis { anchor, tip, .. } = line.axis;
         let ahead_px = (tip - anchor).dot(&line.axis.direction());
-        self.half_width_px.learn(scale.half_width_px, SIZE_RATE);
-        self.far_px.learn(ahead_px + line.half_length_px, SIZE_RATE);
+        self.half_width_px.learn(scale.half_width_px, 1.0, SIZE_RATE);
+        self.far_px.learn(ahead_px + line.half_length_px, 1.0, SIZE_RATE);
         let line = front.map_or(line, |front| front.moved_to_front(line, self.reliable_part.value));
         let measured = Cuts::of(&line.stretch);
         let target_cuts = self.target_cuts(&line, &measured, ahead_px, scale.foreshortening);
@@ -306,7 +293,7 @@ impl AxisCurvature {
 
     /// Curvature of the medial line \[1/px\]; 0 without a measurement.
     fn curvature(&self) -> f64 {
-        if self.bend.frames > 0.0 { 3.0 * self.bend.value / self.half_length_px.value } else { 0.0 }
+        if self.bend.count > 0.0 { 3.0 * self.bend.value / self.half_length_px.value } else { 0.0 }
     }
 }
 

@@ -26,6 +26,7 @@
 
 use super::line::{CHI2_2DOF_99, FingerLine};
 use super::registration::{TextureRegistration, drift};
+use super::variance_factor::VarianceFactor;
 use crate::axis::TexturePose;
 use crate::geometry::shape_space::Axis;
 use crate::image::gray::GrayView;
@@ -50,11 +51,6 @@ const MAX_INDEPENDENT_PART: f64 = 0.5;
 /// Multiple of the texture pose's covariance in the difference of two lines: it enters once for
 /// each.
 const POSE_TERMS: f64 = 2.0;
-/// Prior weight of a variance factor of 1, in frames (two degrees of freedom each). A frame changes
-/// the factor by its fresh part times 1 / (frames so counted), but at least by the rate below. The
-/// χ² of one frame is limited to its 99 % quantile.
-const BELIEVED_FRAMES: f64 = 8.0;
-const SCATTER_RATE: f64 = 0.05;
 /// Consecutive frames without a valid registration after which the texture is learned anew.
 const MOST_MISSED: usize = 5;
 /// Part of the template's length that certainly shows the finger's texture.
@@ -77,9 +73,8 @@ struct LineState {
     covariance: Matrix2<f64>,
     /// The measurement at rest that it comes from, while the finger rests.
     rest: Option<RestingLine>,
-    /// Variance of unit weight, and the number of frames it was estimated from, the prior included.
-    variance_factor: f64,
-    frames: f64,
+    /// Variance of unit weight of the innovations.
+    variance_factor: VarianceFactor,
     /// Last pose of the texture, and its time.
     pose: Axis,
     /// Consecutive frames without a valid registration.
@@ -214,8 +209,7 @@ impl LineFilter {
             line: Vector2::zeros(),
             covariance: covariance * MAX_INDEPENDENT_PART,
             rest: RestingLine::at(pose).with_line(&covariance),
-            variance_factor: 1.0,
-            frames: BELIEVED_FRAMES,
+            variance_factor: VarianceFactor::default(),
             pose,
             missed: 0,
             time_s,
@@ -330,19 +324,17 @@ impl LineState {
         Some(Self { line, covariance: (Matrix2::identity() - gain) * predicted, ..self })
     }
 
-    /// With the variance factor updated by the innovation.
-    fn with_residual(self, observation: &LineObservation) -> Self {
-        let frames = self.frames + observation.freshness;
-        let rate = observation.freshness * (1.0 / frames).max(SCATTER_RATE);
-        let variance_factor = self.variance_factor
-            + rate
-                * (observation.reduced_chi_squared.min(0.5 * CHI2_2DOF_99) - self.variance_factor);
-        Self { variance_factor, frames, ..self }
+    /// With the variance factor updated by the innovation, whose χ² is limited to its 99 %
+    /// quantile.
+    fn with_residual(mut self, observation: &LineObservation) -> Self {
+        let reduced_chi_squared = observation.reduced_chi_squared.min(0.5 * CHI2_2DOF_99);
+        self.variance_factor.learn(reduced_chi_squared, observation.freshness);
+        self
     }
 
     /// A line with its covariance scaled by the variance factor where that exceeds 1.
     fn scaled(&self, line: FingerLine) -> FingerLine {
-        FingerLine { covariance: line.covariance * self.variance_factor.max(1.0), ..line }
+        FingerLine { covariance: line.covariance * self.variance_factor.inflation(), ..line }
     }
 
     /// Restarted from the frame's line alone, which may be the first of a finger at rest.

@@ -175,10 +175,10 @@ impl ContourTracker {
         let contour = contour_line(found)?;
         let Refined { half_width_px, taper, stretch, .. } = *refined;
         if is_uncovered(found) {
-            self.variance_factor.learn(&contour, &pixels, half_width_px);
+            self.line_comparison.learn(&contour, &pixels, half_width_px);
         }
         let (pixels, contour) =
-            (self.variance_factor.scaled(pixels), self.variance_factor.bias_corrected(contour));
+            (self.line_comparison.scaled(pixels), self.line_comparison.bias_corrected(contour));
         let unlike = self.hand.shape_mismatch(half_width_px, taper, stretch.middle_px());
         // The hand's width and taper are known from contours.
         let expected = pixels.covariance + contour.covariance;
@@ -188,7 +188,7 @@ impl ContourTracker {
     /// The same, corrected by the mean difference of the pixels' lines, with the covariance scaled
     /// and extended by the mismatch of its width and taper.
     fn by_contour(&self, found: &FitResult) -> Option<FingerLine> {
-        let line = self.variance_factor.bias_corrected(contour_line(found)?);
+        let line = self.line_comparison.bias_corrected(contour_line(found)?);
         let expected = line.covariance;
         Some(match found.shape {
             Shape::Ribbon(x) => {

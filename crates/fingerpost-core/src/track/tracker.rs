@@ -5,12 +5,12 @@ use super::convergence::Convergence;
 use super::exposure::Exposure;
 use super::grid_search::GridSearch;
 use super::hand::{Hand, InitialTemplate, LastKnown, MOST_COVERED_FRAMES};
+use super::line_comparison::LineComparison;
 use super::line_filter::LineFilter;
 use super::motion_prior::MotionPrior;
 use super::pyramid::{PyramidLevel, ReducedImage};
 use super::scene::Scene;
 use super::validation::BendState;
-use super::variance_factor::VarianceFactor;
 use crate::appearance::background::Background;
 use crate::appearance::discriminant::DiscriminantImage;
 use crate::axis::{RefineOptions, Refiner};
@@ -63,7 +63,7 @@ pub struct ContourTracker {
     pub(super) line_filter: LineFilter,
     pub(super) axis_curvature: AxisCurvature,
     pub(super) foreshortening: f64,
-    pub(super) variance_factor: VarianceFactor,
+    pub(super) line_comparison: LineComparison,
     pub(super) last_time_s: Option<f64>,
     /// Whether the initial template may be longer than the finger, so that acquisition measures the
     /// length.
@@ -162,7 +162,7 @@ impl ContourTracker {
             line_filter: LineFilter::new(),
             axis_curvature: AxisCurvature::default(),
             foreshortening: 1.0,
-            variance_factor: VarianceFactor::default(),
+            line_comparison: LineComparison::default(),
             last_time_s: None,
             exposure: Exposure::new(),
             takes_length: true,
