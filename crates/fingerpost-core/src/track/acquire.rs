@@ -50,7 +50,7 @@ impl ContourTracker {
     /// One frame of the search for a lost hand: at its last pose, then at the start pose.
     pub(super) fn recover(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         time_s: f64,
         settled: usize,
         last: LastKnown,
@@ -60,41 +60,41 @@ impl ContourTracker {
         self.hand.measure = measure;
         let reach_px = LOST_REACH * self.largeness() * self.options.track.half_length_px;
         let accept = self.options.acquire.accept;
-        let Selection { found, likeness, .. } = self.find(frame, shape, reach_px, None)?;
+        let Selection { found, likeness, .. } = self.find(scene, shape, reach_px, None)?;
         let validation = self.validation(&accept, None);
         if let (Ok(()), Some(fit)) = (validation.judge(&found, likeness), &found.fit) {
             let min_inliers = validation.min_agreement(fit, likeness);
             let accept = AcceptOptions { min_inliers, ..accept };
-            let bend = self.bend(frame, &found)?;
+            let bend = self.bend(scene, &found)?;
             let bend_state = self.hand.bend_state.after(bend.as_ref(), &found);
             if !bend_state.is_bent() {
                 self.hand.shape = found.shape;
                 self.start(time_s, &found, bend_state)?;
                 self.hand.is_back = true;
-                let track = self.tracked(frame, time_s, &found, &accept)?;
+                let track = self.tracked(scene, time_s, &found, &accept)?;
                 return Ok(track.bent(bend.as_ref()));
             }
         }
         self.hand.kind = kind_before;
         self.hand.measure = self.initial.measure;
-        self.acquire(frame, time_s, settled, Some(last))
+        self.acquire(scene, time_s, settled, Some(last))
     }
 
     /// One frame of acquisition, for the first time or after a loss.
     pub(super) fn acquire(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         time_s: f64,
         settled: usize,
         lost: Option<LastKnown>,
     ) -> Result<Track> {
         let AcquireOptions { accept, settle_frames, settle_change, .. } = self.options.acquire;
         let width_before = self.hand.shape.width();
-        let (mut found, mut refusal) = self.search_initial(frame, settled)?;
+        let (mut found, mut refusal) = self.search_initial(scene, settled)?;
         if refusal.is_some() && (1..settle_frames).contains(&settled) {
             // It has moved beyond the range of the edge search; the initial template is tried
             // again.
-            (found, refusal) = self.search_initial(frame, 0)?;
+            (found, refusal) = self.search_initial(scene, 0)?;
         }
         let accepted = refusal.is_none();
         let change = (found.shape.width() / width_before - 1.0).abs();
@@ -114,13 +114,13 @@ impl ContourTracker {
         let mut misfit_bend = None;
         if settled >= settle_frames {
             let before = self.hand.clone();
-            if let Some(acquired) = self.freeze(frame, &found)? {
-                let bend = self.bend(frame, &acquired)?;
+            if let Some(acquired) = self.freeze(scene, &found)? {
+                let bend = self.bend(scene, &acquired)?;
                 let bend_state = BendState::Straight.after(bend.as_ref(), &acquired);
                 if !bend_state.is_bent() {
                     let accept = self.options.track.accept;
                     self.start(time_s, &acquired, bend_state)?;
-                    let track = self.tracked(frame, time_s, &acquired, &accept)?;
+                    let track = self.tracked(scene, time_s, &acquired, &accept)?;
                     return Ok(track.bent(bend.as_ref()));
                 }
                 (refusal, misfit_bend) = (Some(Refusal::Misfit), bend);
@@ -141,14 +141,14 @@ impl ContourTracker {
     /// refusal.
     pub(super) fn search_initial(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         settled: usize,
     ) -> Result<(FitResult, Option<Refusal>)> {
-        let without_background = self.settled(&frame.alone(), settled)?;
-        if without_background.1.is_none() || frame.background().is_none() {
+        let without_background = self.settled(&scene.without_background_in_search(), settled)?;
+        if without_background.1.is_none() || scene.background_for_search().is_none() {
             return Ok(without_background);
         }
-        self.settled(frame, settled)
+        self.settled(scene, settled)
     }
 
     /// The fit at the start pose, or from the last fit, and the reason for refusal. An object on
@@ -157,20 +157,21 @@ impl ContourTracker {
     /// hand and is not tested.
     fn settled(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         settled: usize,
     ) -> Result<(FitResult, Option<Refusal>)> {
-        let found = self.initialise(frame, settled)?;
+        let found = self.initialise(scene, settled)?;
         let refusal = found.refusal(&self.options.acquire.accept);
-        let is_table = || self.passes_foreground_test(frame, &found.shape) == Some(false);
+        let is_table = || self.passes_foreground_test(scene, &found.shape) == Some(false);
         let refusal = refusal.or_else(|| is_table().then_some(Refusal::Background));
         Ok((found, refusal))
     }
 
     /// Result of the [foreground test](ForegroundTest) of the finger; `None` where the background
     /// is unknown.
-    fn passes_foreground_test(&self, frame: &Scene<'_>, shape: &Shape) -> Option<bool> {
-        let mut foreground_test = ForegroundTest::before(frame.table()?, shape.width());
+    fn passes_foreground_test(&self, scene: &Scene<'_>, shape: &Shape) -> Option<bool> {
+        let mut foreground_test =
+            ForegroundTest::before(scene.background_for_validation()?, shape.width());
         self.hand.outline(shape, &self.samples, |part, placed| {
             if part != Part::Thumb {
                 foreground_test.add(&placed);
@@ -180,7 +181,7 @@ impl ContourTracker {
     }
 
     /// The hand at the start pose, or near the fit of an earlier frame.
-    fn initialise(&mut self, frame: &Scene<'_>, settled: usize) -> Result<FitResult> {
+    fn initialise(&mut self, scene: &Scene<'_>, settled: usize) -> Result<FitResult> {
         let initialise = TemplateInitialiser {
             options: &self.options,
             samples: &self.samples,
@@ -190,12 +191,12 @@ impl ContourTracker {
         let initialised = match self.hand.shape {
             _ if self.template.proportions().is_none() => {
                 let half_length_px = self.options.acquire.reach_px(self.initial.ribbon[3]);
-                return self.affine(frame, self.initial.map, half_length_px);
+                return self.affine(scene, self.initial.map, half_length_px);
             }
             Shape::Ribbon(x) if settled > 0 => {
-                initialise.refit(&mut self.convergence, frame, &x, self.hand.kind)?
+                initialise.refit(&mut self.convergence, scene, &x, self.hand.kind)?
             }
-            _ => initialise.find(&mut self.convergence, frame)?,
+            _ => initialise.find(&mut self.convergence, scene)?,
         };
         self.hand.kind = initialised.kind;
         Ok(initialised.hand.into())
@@ -204,12 +205,12 @@ impl ContourTracker {
     /// Fixes the settled hand's dimensions and appearance, from which tracking starts. `None` if
     /// they are not those of one finger, or if the paper's template cannot take them on or explains
     /// too little.
-    fn freeze(&mut self, frame: &Scene<'_>, settled: &FitResult) -> Result<Option<FitResult>> {
+    fn freeze(&mut self, scene: &Scene<'_>, settled: &FitResult) -> Result<Option<FitResult>> {
         self.hand.shaded = None;
-        self.refit_in_colours(frame, settled)?;
-        self.find_shaded_flank(frame)?;
+        self.refit_in_colours(scene, settled)?;
+        self.find_shaded_flank(scene)?;
         let takes_length = self.takes_length && self.options.model == Model::Ribbon;
-        if takes_length && !self.take_length(frame, settled)? {
+        if takes_length && !self.take_length(scene, settled)? {
             return Ok(None);
         }
         let ahead_px = self.initial.measure.round_end_px - self.hand.measure.round_end_px;
@@ -219,7 +220,7 @@ impl ContourTracker {
         let frozen = match (self.hand.shape, self.options.model) {
             (Shape::Ribbon(x), Model::Ribbon) => {
                 self.hand.acquired = x;
-                self.fit_stages(frame, (self.hand.shape, Scale::Fine, None, EdgeCue::HandEdges))?
+                self.fit_stages(scene, (self.hand.shape, Scale::Fine, None, EdgeCue::HandEdges))?
             }
             (Shape::Ribbon(x), Model::Paper) => {
                 self.hand.acquired = x;
@@ -235,9 +236,9 @@ impl ContourTracker {
                 };
                 self.hand.fitted = template.samples(self.options.samples)?;
                 let tip = self.ribbon::<RIBBON_DOF>(&x)?.pose(&x).axis().tip;
-                self.affine(frame, AffineMap::upright(tip, x[2], length_px)?, NEAR_PX)?
+                self.affine(scene, AffineMap::upright(tip, x[2], length_px)?, NEAR_PX)?
             }
-            (Shape::Planar(map), _) => self.affine(frame, map, NEAR_PX)?,
+            (Shape::Planar(map), _) => self.affine(scene, map, NEAR_PX)?,
         };
         // The refit of a resting hand does not slide along the background.
         let displacement = frozen.shape.placement() - settled.shape.ahead(ahead_px).placement();
@@ -254,8 +255,8 @@ impl ContourTracker {
             && displacement[2].sin().abs() <= MOST_TURNED_RAD;
         let accepted = is_in_place
             && frozen.is_accepted(&self.options.track.accept)
-            && stands_out(self.finger_separation(frame), frozen.explains_finger(), || {
-                self.passes_foreground_test(frame, &frozen.shape)
+            && stands_out(self.finger_separation(scene), frozen.explains_finger(), || {
+                self.passes_foreground_test(scene, &frozen.shape)
             });
         if accepted {
             self.hand.shape = frozen.shape;
@@ -266,27 +267,27 @@ impl ContourTracker {
     /// Learns the settled hand's appearance and refits the hand in the mixture of colours that
     /// separates it best. A shaded flank or the tip, which may have had no contrast in grey, can
     /// appear now.
-    fn refit_in_colours(&mut self, frame: &Scene<'_>, settled: &FitResult) -> Result<()> {
+    fn refit_in_colours(&mut self, scene: &Scene<'_>, settled: &FitResult) -> Result<()> {
         let mut explained_before = settled.explains_finger();
-        let mut separation_before = self.finger_separation(frame);
+        let mut separation_before = self.finger_separation(scene);
         for _ in 0..COLOUR_REFIT_ROUNDS {
             self.hand.appearance = None;
-            self.learn_appearance(frame, 1)?;
+            self.learn_appearance(scene, 1)?;
             let (Shape::Ribbon(x), true) = (self.hand.shape, self.hand.is_mixed()) else {
                 return Ok(());
             };
             let half_length_px = self.options.acquire.reach_px(self.initial.ribbon[3]);
             let plan =
                 SearchPlan { edge_cue: EdgeCue::AnyEdge, ..SearchPlan::edges(half_length_px) };
-            let turned = self.run_ribbon::<3>(frame, &x, Limb::Finger, plan, None)?;
+            let turned = self.run_ribbon::<3>(scene, &x, Limb::Finger, plan, None)?;
             self.hand.acquired = x;
             let prior = self.tracked_prior::<5>(&x, COLOUR_REFIT_SLACK);
             let finger =
-                self.run_ribbon::<5>(frame, &turned.shape, Limb::Finger, plan, Some(&prior))?;
+                self.run_ribbon::<5>(scene, &turned.shape, Limb::Finger, plan, Some(&prior))?;
             let found = FitResult::from(finger);
             if found.is_accepted(&self.options.acquire.accept) {
                 self.hand.shape = Shape::Ribbon(with_thumb_of(&x, &finger.shape));
-                let now = self.finger_separation(frame);
+                let now = self.finger_separation(scene);
                 let explained = found.explains_finger();
                 if now < KEPT_SEPARATION * separation_before
                     || explained < KEPT_SEPARATION * explained_before
@@ -301,7 +302,7 @@ impl ContourTracker {
     }
 
     /// Separation of the finger's inside from its outside along the contour of the last search.
-    pub(super) fn finger_separation(&mut self, frame: &Scene<'_>) -> f64 {
+    pub(super) fn finger_separation(&mut self, scene: &Scene<'_>) -> f64 {
         let Self { hand, samples, convergence, .. } = self;
         let shaft = match &hand.shape {
             Shape::Ribbon(x) => Some(Shaft::of_band(x, hand.measure.length_px)),
@@ -309,7 +310,7 @@ impl ContourTracker {
         };
         convergence.finger_separation(
             hand.fingers(samples),
-            frame,
+            scene,
             &hand.shape.silhouette(),
             shaft.as_ref(),
         )

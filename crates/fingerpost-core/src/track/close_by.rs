@@ -25,7 +25,7 @@ impl TemplateInitialiser<'_> {
     pub(super) fn close_by(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         angle_rad: f64,
     ) -> Result<[RibbonVector; CLOSE_FITTED]> {
         let polarity = self.options.polarity;
@@ -42,7 +42,7 @@ impl TemplateInitialiser<'_> {
                     let mut x = turned;
                     (x[0], x[1], x[3]) = (x[0] + by.x, x[1] + by.y, width * x[3]);
                     let support =
-                        self.support::<5>(convergence, frame, &x, MIN_HALF_LENGTH_PX, polarity)?;
+                        self.support::<5>(convergence, scene, &x, MIN_HALF_LENGTH_PX, polarity)?;
                     let [.., last] = &mut best;
                     if support > last.0 {
                         *last = (support, x);

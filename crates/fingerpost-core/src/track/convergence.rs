@@ -127,18 +127,18 @@ impl Convergence {
         &mut self,
         appearance: &mut AppearanceModel,
         samples: usize,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         finger: &Silhouette,
         weights: (f64, f64),
     ) -> Result<()> {
         if appearance.is_coloured() {
-            self.image.reserve(frame);
+            self.image.reserve(scene);
         }
         self.gather_agreeing(samples);
-        self.leave_out_covered(appearance, frame)?;
+        self.leave_out_covered(appearance, scene)?;
         self.gather_unseen(samples);
         let contour = Contour { edges: &self.agreeing, unseen: &self.unseen };
-        appearance.learn(frame, &mut self.image, &contour, finger, weights)
+        appearance.learn(scene, &mut self.image, &contour, finger, weights)
     }
 
     /// The same by the samples without an edge only, for a hand that an object may cover elsewhere.
@@ -146,12 +146,12 @@ impl Convergence {
         &mut self,
         appearance: &mut AppearanceModel,
         samples: usize,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         finger: &Silhouette,
     ) -> Result<()> {
         self.gather_unseen(samples);
         let contour = Contour { edges: &[], unseen: &self.unseen };
-        appearance.learn(frame, &mut self.image, &contour, finger, (1.0, UNSEEN_FRAMES))
+        appearance.learn(scene, &mut self.image, &contour, finger, (1.0, UNSEEN_FRAMES))
     }
 
     /// An empty appearance model, to be [returned](Self::take_back).
@@ -175,18 +175,18 @@ impl Convergence {
     pub fn teach_at(
         &mut self,
         appearance: &mut AppearanceModel,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         contour: impl Iterator<Item = PlacedSample>,
         finger: &Silhouette,
     ) -> Result<bool> {
         self.agreeing.clear();
         self.agreeing.extend(contour);
-        if appearance.finger_separation(frame, &self.agreeing, finger, None) <= 0.0 {
+        if appearance.finger_separation(scene, &self.agreeing, finger, None) <= 0.0 {
             return Ok(false);
         }
         appearance.forget();
         let contour = Contour { edges: &self.agreeing, unseen: &[] };
-        appearance.learn(frame, &mut self.image, &contour, finger, (0.0, 1.0))?;
+        appearance.learn(scene, &mut self.image, &contour, finger, (0.0, 1.0))?;
         Ok(true)
     }
 
@@ -195,16 +195,16 @@ impl Convergence {
     pub fn finger_separation(
         &mut self,
         samples: usize,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         finger: &Silhouette,
         shaft: Option<&Shaft>,
     ) -> f64 {
         self.gather_agreeing(samples);
-        let coloured = frame.colour().is_some();
+        let coloured = scene.colour().is_some();
         if self.unknown.is_coloured() != coloured {
             self.unknown = AppearanceModel::new(coloured);
         }
-        self.unknown.finger_separation(frame, &self.agreeing, finger, shaft)
+        self.unknown.finger_separation(scene, &self.agreeing, finger, shaft)
     }
 
     /// Sharpness of the agreeing edges of the last search on the softer flank, 0–1: 0.8 for a step
@@ -252,22 +252,22 @@ impl Convergence {
 
     /// Discards the agreeing edges that do not match the appearance model inside, unless these are
     /// the majority: they are a covering object's. After a change of light no edge matches.
-    fn leave_out_covered(&mut self, appearance: &AppearanceModel, frame: &Scene<'_>) -> Result<()> {
+    fn leave_out_covered(&mut self, appearance: &AppearanceModel, scene: &Scene<'_>) -> Result<()> {
         if is_off(Mechanism::OccluderEdges) {
             return Ok(());
         }
         let Some(search_model) =
-            appearance.search_model(frame, EdgeCue::HandEdges, Polarity::Unknown)
+            appearance.search_model(scene, EdgeCue::HandEdges, Polarity::Unknown)
         else {
             return Ok(());
         };
         let edges = self.agreeing.iter().map(|edge| (edge.position, KERNEL_REACH_PX));
-        let search_frame = self.image.shown(frame, search_model.mixture, || region_about(edges))?;
+        let search_frame = self.image.shown(scene, search_model.mixture, || region_about(edges))?;
         self.matches.clear();
         self.matches.extend(
             self.agreeing
                 .iter()
-                .map(|edge| search_model.matches_appearance(frame, &search_frame, edge)),
+                .map(|edge| search_model.matches_appearance(scene, &search_frame, edge)),
         );
         if 2 * self.matches.iter().filter(|&&is_match| is_match).count() >= self.agreeing.len() {
             let mut matches = self.matches.iter();
@@ -318,7 +318,7 @@ impl Convergence {
     /// The fit is `None` if a step is not determined, and for a stage that another continues.
     pub fn run<S: ShapeSpace<D>, const D: usize>(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         space: &S,
         x: SVector<f64, D>,
         stage: &FitStage<'_>,
@@ -332,7 +332,7 @@ impl Convergence {
             at.iterations += 1;
             let pose = space.pose(&at.shape);
             let searched_px = half_length_px.min(plan.edges_within_px);
-            self.measure(frame, &pose, stage, searched_px)?;
+            self.measure(scene, &pose, stage, searched_px)?;
             let step_prior =
                 prior.map(|p| Prior { mean: p.mean - at.shape, information: p.information });
             let samples = self.visible.iter().map(|&i| &stage.samples[i]);
@@ -395,12 +395,12 @@ impl Convergence {
     /// without a fit.
     pub fn offsets<S: ShapeSpace<D>, const D: usize>(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         space: &S,
         x: &SVector<f64, D>,
         stage: &FitStage<'_>,
     ) -> Result<impl Iterator<Item = (usize, Option<f64>)>> {
-        self.measure(frame, &space.pose(x), stage, stage.plan.half_length_px)?;
+        self.measure(scene, &space.pose(x), stage, stage.plan.half_length_px)?;
         let offsets = self.normals.found().iter().map(|found| Some(found.as_ref().ok()?.offset_px));
         Ok(self.visible.iter().copied().zip(offsets))
     }
@@ -408,7 +408,7 @@ impl Convergence {
     /// Searches the image along the normals of the contour as placed by `pose`.
     fn measure<P: Pose>(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         pose: &P,
         stage: &FitStage<'_>,
         half_length_px: f64,
@@ -433,21 +433,21 @@ impl Convergence {
         self.abs_residuals_px.clear();
         self.abs_residuals_px.resize(self.visible.len(), f64::INFINITY);
         let search_frame =
-            self.image.shown(frame, search_model.mixture, || self.normals.region())?;
-        self.normals.search(frame, &search_frame, search_model, plan.scale, plan.matched_only)
+            self.image.shown(scene, search_model.mixture, || self.normals.region())?;
+        self.normals.search(scene, &search_frame, search_model, plan.scale, plan.matched_only)
     }
 
     /// Fraction of the visible contour of the first `samples` whose edges are within `within_px` of
     /// the last fit and match the appearance model inside, 0–1.
     pub fn matched_share(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         search_model: &SearchModel<'_>,
         samples: usize,
         within_px: f64,
     ) -> Result<f64> {
         let search_frame =
-            self.image.shown(frame, search_model.mixture, || self.normals.region())?;
+            self.image.shown(scene, search_model.mixture, || self.normals.region())?;
         let mut residuals = self.fitter.residuals().iter();
         let (mut matched, mut visible) = (0_usize, 0_usize);
         for (line, (&i, found)) in self.visible.iter().zip(self.normals.found()).enumerate() {
@@ -458,7 +458,7 @@ impl Convergence {
                     is_near
                         && self.normals.matches_appearance(
                             line,
-                            frame,
+                            scene,
                             &search_frame,
                             search_model,
                         ),

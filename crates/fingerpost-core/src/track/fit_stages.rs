@@ -44,7 +44,7 @@ impl ContourTracker {
     /// the band model fits the finger under the prior, then the thumb.
     pub(super) fn fit_stages(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         (from, scale, window, edge_cue): Path,
     ) -> Result<FitResult> {
         let near_px = window.map_or(self.near_px(), |w| w.near_px);
@@ -60,17 +60,17 @@ impl ContourTracker {
         Ok(match from {
             Shape::Planar(map) if self.determines_shear() => {
                 let near = SearchPlan { every: ENOUGH_TO_TURN, ..placement_plan };
-                let turned = self.planar::<Rigid, 3>(frame, map, near)?;
+                let turned = self.planar::<Rigid, 3>(scene, map, near)?;
                 // Bands search the full range: shortened lines gave less accurate points on grey
                 // footage.
                 let within = SearchPlan { edges_within_px: turned.edges_within_px, ..plan };
-                self.planar::<RigidShear, 4>(frame, turned.shape, within)?.into()
+                self.planar::<RigidShear, 4>(scene, turned.shape, within)?.into()
             }
-            Shape::Planar(map) => self.planar::<Rigid, 3>(frame, map, first)?.into(),
+            Shape::Planar(map) => self.planar::<Rigid, 3>(scene, map, first)?.into(),
             Shape::Ribbon(x) => {
                 let placement_prior = window.and_then(|w| w.prior());
                 let turned = self.run_ribbon::<3>(
-                    frame,
+                    scene,
                     &x,
                     Limb::Finger,
                     placement_plan,
@@ -83,10 +83,10 @@ impl ContourTracker {
                     prior.information.fixed_view_mut::<3, 3>(0, 0).copy_from(&information);
                 }
                 let finger =
-                    self.run_ribbon::<5>(frame, &turned.shape, Limb::Finger, plan, Some(&prior))?;
+                    self.run_ribbon::<5>(scene, &turned.shape, Limb::Finger, plan, Some(&prior))?;
                 match &finger.fit {
                     Some(fit) if self.hand.kind.has_thumb => {
-                        self.fit_thumb(frame, &finger, fit, plan)?.into()
+                        self.fit_thumb(scene, &finger, fit, plan)?.into()
                     }
                     _ => finger.into(),
                 }
@@ -98,24 +98,24 @@ impl ContourTracker {
     /// alone, which determines neither length nor shear, only scales.
     pub(super) fn affine(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         from: AffineMap,
         half_length_px: f64,
     ) -> Result<FitResult> {
         let plan = SearchPlan::edges(half_length_px);
-        let moved = self.planar::<Translation, 2>(frame, from, plan)?;
-        let turned = self.planar::<Rigid, 3>(frame, moved.shape, plan)?;
+        let moved = self.planar::<Translation, 2>(scene, from, plan)?;
+        let turned = self.planar::<Rigid, 3>(scene, moved.shape, plan)?;
         Ok(if self.determines_shear() {
-            self.planar::<Affine, 6>(frame, turned.shape, plan)?.into()
+            self.planar::<Affine, 6>(scene, turned.shape, plan)?.into()
         } else {
-            self.planar::<Similarity, 4>(frame, turned.shape, plan)?.into()
+            self.planar::<Similarity, 4>(scene, turned.shape, plan)?.into()
         })
     }
 
     /// Fits one planar shape space; a fit that mirrors or flattens the template is discarded.
     pub(super) fn planar<S: PlanarSpace<D>, const D: usize>(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         from: AffineMap,
         plan: SearchPlan,
     ) -> Result<FitResult<AffineMap>> {
@@ -123,8 +123,8 @@ impl ContourTracker {
             return Ok(FitResult::unfitted(from));
         };
         let samples = self.hand.planar(&self.samples);
-        let stage = self.hand.stage(samples, frame, plan, self.options.polarity);
-        let found = self.convergence.run(frame, &space, x, &stage, None)?;
+        let stage = self.hand.stage(samples, scene, plan, self.options.polarity);
+        let found = self.convergence.run(scene, &space, x, &stage, None)?;
         let found = found.map(|x| space.pose(&x));
         let is_valid = found.shape.decompose().is_ok();
         Ok(if is_valid { found } else { FitResult { shape: from, fit: None, ..found } })
@@ -140,7 +140,7 @@ impl ContourTracker {
     /// whose line and covariance stay unchanged.
     fn fit_thumb(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         finger: &FitResult<RibbonVector>,
         fit: &Fit,
         plan: SearchPlan,
@@ -152,7 +152,7 @@ impl ContourTracker {
             prior.information[(i, i)] = PINNED_SIGMA.powi(-2);
         }
         let plan = SearchPlan { rest: StageEnd::Thumb, ..plan };
-        let whole = self.run_ribbon(frame, &finger.shape, Limb::Thumb, plan, Some(&prior))?;
+        let whole = self.run_ribbon(scene, &finger.shape, Limb::Thumb, plan, Some(&prior))?;
         let Some(with_thumb) = whole.fit else { return Ok(*finger) };
         if !self.is_thumb(&whole.shape, &with_thumb) {
             // The thumb keeps its place.
@@ -193,7 +193,7 @@ impl ContourTracker {
     /// finger, or of the whole hand down to the thumb.
     pub(super) fn run_ribbon<const D: usize>(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         from: &RibbonVector,
         down_to: Limb,
         plan: SearchPlan,
@@ -204,9 +204,9 @@ impl ContourTracker {
             Limb::Finger => finger_samples(&self.samples),
             Limb::Thumb => self.hand.bands(&self.samples),
         };
-        let stage = self.hand.stage(samples, frame, plan, self.options.polarity);
+        let stage = self.hand.stage(samples, scene, plan, self.options.polarity);
         let x = Ribbon::<D>::free(from);
-        let found = self.convergence.run_bands(frame, &space, x, &stage, prior)?;
+        let found = self.convergence.run_bands(scene, &space, x, &stage, prior)?;
         Ok(found.map(|x| space.full(&x)))
     }
 

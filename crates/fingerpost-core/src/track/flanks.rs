@@ -93,13 +93,13 @@ impl Convergence {
     /// with that. This fit is used if more edges agree with it from the tip on, or more precisely.
     pub fn run_bands<S: ShapeSpace<D>, const D: usize>(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         space: &S,
         x: SVector<f64, D>,
         stage: &FitStage<'_>,
         prior: Option<&Prior<D>>,
     ) -> Result<FitResult<SVector<f64, D>>> {
-        let found = self.run(frame, space, x, stage, prior)?;
+        let found = self.run(scene, space, x, stage, prior)?;
         let Some(fit) = found.fit.filter(|_| D == FINGER_DOF) else { return Ok(found) };
         let samples = stage.samples;
         let is_inconsistent = self.inconsistent_flanks(samples, f64::INFINITY) > 0;
@@ -109,7 +109,7 @@ impl Convergence {
         let exact_px = LEANS_PX.max(fit.residual_rms_px / LEANS);
         let within_px = if is_inconsistent { f64::INFINITY } else { exact_px };
         let agreeing = self.agreeing_from_tip(samples, within_px);
-        let from_front = self.run_from_front(frame, space, x, stage, prior)?;
+        let from_front = self.run_from_front(scene, space, x, stage, prior)?;
         // If both flanks turn, the finger is bent.
         if from_front.fit.is_some()
             && (is_inconsistent || self.inconsistent_flanks(samples, within_px) <= 1)
@@ -118,14 +118,14 @@ impl Convergence {
             return Ok(from_front);
         }
         // Repeated, so that the last search belongs to the fit that is returned.
-        self.run(frame, space, x, stage, prior)
+        self.run(scene, space, x, stage, prior)
     }
 
     /// The finger fitted by its front half, then by the part of its flanks that agrees with that;
     /// its support is that of the whole finger.
     fn run_from_front<S: ShapeSpace<D>, const D: usize>(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         space: &S,
         x: SVector<f64, D>,
         stage: &FitStage<'_>,
@@ -133,15 +133,15 @@ impl Convergence {
     ) -> Result<FitResult<SVector<f64, D>>> {
         let plan = SearchPlan { rest: StageEnd::TakenOver, ..stage.plan };
         let front = FitStage { samples: front(stage.samples), plan, ..*stage };
-        let ahead = self.run(frame, space, x, &front, prior)?;
+        let ahead = self.run(scene, space, x, &front, prior)?;
         let half_length_px = stage.plan.half_length_px.min(MIN_HALF_LENGTH_PX);
         let plan = SearchPlan { half_length_px, window: None, ..stage.plan };
         let near = FitStage { plan, ..*stage };
-        self.run(frame, space, ahead.shape, &near, Some(&pinned(&ahead.shape)))?;
+        self.run(scene, space, ahead.shape, &near, Some(&pinned(&ahead.shape)))?;
         let agreeing = FitStage { samples: self.agreeing_samples(stage.samples), ..near };
-        let refitted = self.run(frame, space, ahead.shape, &agreeing, prior)?;
+        let refitted = self.run(scene, space, ahead.shape, &agreeing, prior)?;
         let whole =
-            self.run(frame, space, refitted.shape, &near, Some(&pinned(&refitted.shape)))?;
+            self.run(scene, space, refitted.shape, &near, Some(&pinned(&refitted.shape)))?;
         let fit = refitted.fit.zip(whole.fit).map(|(refitted, whole)| {
             let Fit { shape, axis, line_covariance, .. } = refitted;
             Fit { shape, axis, line_covariance, ..whole }

@@ -25,14 +25,14 @@ impl ContourTracker {
     /// One frame of tracking. After a long gap the hand is not tracked but acquired again.
     pub(super) fn follow(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         time_s: f64,
         missed: usize,
     ) -> Result<Track> {
         let TrackOptions { half_length_px, accept, lose_after_frames, .. } = self.options.track;
         let from = self.hand.shape;
         let Some(prediction) = self.predict_motion(time_s)? else {
-            return self.recover(frame, time_s, 0, self.hand.remembered(from));
+            return self.recover(scene, time_s, 0, self.hand.remembered(from));
         };
         let expected = prediction.window.expected.vector;
         // The hand may also have stopped or reversed, and may have done more the longer it is
@@ -43,7 +43,7 @@ impl ContourTracker {
             + predicted_motion_px;
         let predicted = from.placed(&expected);
         let Selection { found, pushed_px, likeness } =
-            self.find(frame, predicted, reach_px, Some(&prediction))?;
+            self.find(scene, predicted, reach_px, Some(&prediction))?;
         let prediction = prediction.pushed(pushed_px);
         self.hand.note_covered(&found);
         let followed = prediction.followed(&found)?;
@@ -55,7 +55,7 @@ impl ContourTracker {
             found.fit.map_or(accept.min_inliers, |fit| validation.min_agreement(&fit, likeness));
         let accept = AcceptOptions { min_inliers: min_agreement, ..accept };
         if let (Ok(()), Some((dynamics, _))) = (validity, followed) {
-            let bend = self.bend(frame, &found)?;
+            let bend = self.bend(scene, &found)?;
             self.hand.bend_state = self.hand.bend_state.after(bend.as_ref(), &found);
             self.hand.shape = found.shape;
             self.hand.is_back = false;
@@ -72,14 +72,14 @@ impl ContourTracker {
                 self.hand.count_thumb(&found, lose_after_frames);
                 self.hand.count_partly(&found);
                 if found.fit.is_some_and(|fit| fit.matched_only) {
-                    self.learn_behind(frame)?;
+                    self.learn_behind(scene)?;
                 } else {
-                    self.update_appearance(frame, &found)?;
+                    self.update_appearance(scene, &found)?;
                 }
                 self.motion_prior.follow(innovation);
                 self.hand.learn_usual(&found);
                 self.phase = Phase::Tracking { missed: 0 };
-                self.tracked(frame, time_s, &found, &accept)?
+                self.tracked(scene, time_s, &found, &accept)?
             };
             track.diagnostics.innovation = innovation;
             return Ok(track.bent(bend.as_ref()));

@@ -1,6 +1,6 @@
 //! Foreground test of a contour against a known background.
 
-use super::scene::Behind;
+use super::scene::SceneBackground;
 use crate::geometry::shape_space::PlacedSample;
 use crate::numeric::ablation::{Mechanism, is_off};
 
@@ -16,7 +16,7 @@ const MIN_FOREGROUND_CONTRAST: f64 = 0.2;
 
 /// Foreground probabilities inside and outside of an outline.
 pub(super) struct ForegroundTest<'a> {
-    behind: Behind<'a>,
+    behind: SceneBackground<'a>,
     away_px: f64,
     /// Sums and numbers of the known samples, inside and outside.
     sides: [(f64, f64); 2],
@@ -24,7 +24,7 @@ pub(super) struct ForegroundTest<'a> {
 
 impl<'a> ForegroundTest<'a> {
     /// Without samples yet, for a finger of this half-width.
-    pub fn before(behind: Behind<'a>, half_width_px: f64) -> Self {
+    pub fn before(behind: SceneBackground<'a>, half_width_px: f64) -> Self {
         let away_px = (SAMPLED_HALF_WIDTHS * half_width_px).max(MIN_SAMPLED_PX);
         Self { behind, away_px, sides: [(0.0, 0.0); 2] }
     }

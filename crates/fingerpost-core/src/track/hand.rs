@@ -186,11 +186,11 @@ impl Hand {
     pub(super) fn stage<'a>(
         &'a self,
         samples: &'a [TemplateSample],
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         plan: SearchPlan,
         polarity: Polarity,
     ) -> FitStage<'a> {
-        let search_model = self.search_model(frame, plan.edge_cue, polarity);
+        let search_model = self.search_model(scene, plan.edge_cue, polarity);
         let max_scale_px = if plan.matched_only { self.max_scale_px() } else { f64::INFINITY };
         FitStage { samples, search_model, plan, max_scale_px }
     }
@@ -253,12 +253,12 @@ impl Hand {
     /// The search model of the hand in a frame.
     pub(super) fn search_model(
         &self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         edge_cue: EdgeCue,
         polarity: Polarity,
     ) -> SearchModel<'_> {
         let known =
-            self.appearance.as_ref().and_then(|l| l.search_model(frame, edge_cue, polarity));
+            self.appearance.as_ref().and_then(|l| l.search_model(scene, edge_cue, polarity));
         known.unwrap_or(SearchModel::unknown(polarity))
     }
 
@@ -268,7 +268,7 @@ impl Hand {
     }
 
     /// Whether its appearance model applies to this frame: a model of colours needs a colour frame.
-    pub(super) fn is_shown_in(&self, frame: &Scene<'_>) -> bool {
-        self.appearance.as_ref().is_some_and(|l| !l.is_coloured() || frame.colour().is_some())
+    pub(super) fn is_shown_in(&self, scene: &Scene<'_>) -> bool {
+        self.appearance.as_ref().is_some_and(|l| !l.is_coloured() || scene.colour().is_some())
     }
 }

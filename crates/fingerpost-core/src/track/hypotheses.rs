@@ -115,18 +115,18 @@ impl ContourTracker {
     /// hypothesis with the highest [score](Hypothesis::score) is selected.
     pub(super) fn find(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         predicted: Shape,
         reach_px: f64,
         prediction: Option<&MotionPrediction>,
     ) -> Result<Selection> {
         let path = (predicted, Scale::Fine, prediction.map(|f| f.window), EdgeCue::HandEdges);
-        let near = self.fit_stages(frame, path)?;
-        let pushed_px = self.goes_on_px(frame, &near.shape)?;
+        let near = self.fit_stages(scene, path)?;
+        let pushed_px = self.goes_on_px(scene, &near.shape)?;
         if self.is_sufficient(&near, prediction)? && pushed_px == 0.0 {
             return match prediction {
                 Some(_) => Ok(Selection { found: near, pushed_px, likeness: 1.0 }),
-                None => self.selection(frame, &near, pushed_px),
+                None => self.selection(scene, &near, pushed_px),
             };
         }
         let prediction = prediction.map(|f| f.pushed(pushed_px));
@@ -134,36 +134,36 @@ impl ContourTracker {
         let uncovered =
             (near.fit.is_some() && pushed_px > 0.0).then(|| near.shape.ahead(pushed_px));
         let mut ranking =
-            HypothesisRanking::starting_with(self.evaluated(frame, &near, path, prediction)?);
-        self.try_constant_velocity(frame, &mut ranking, predicted, prediction)?;
+            HypothesisRanking::starting_with(self.evaluated(scene, &near, path, prediction)?);
+        self.try_constant_velocity(scene, &mut ranking, predicted, prediction)?;
         let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
-        let approached = self.approach(frame, predicted, reach_px)?;
-        self.try_from_afar(frame, &mut ranking, approached, prediction)?;
+        let approached = self.approach(scene, predicted, reach_px)?;
+        self.try_from_afar(scene, &mut ranking, approached, prediction)?;
         // An object that covers the tip may have pushed the fit back over several frames.
         if let Some(from) = uncovered {
             let path = (from, Scale::Fine, None, EdgeCue::HandEdges);
-            ranking.add(self.evaluate_path(frame, path, prediction)?);
+            ranking.add(self.evaluate_path(scene, path, prediction)?);
         }
-        self.try_in_grey(frame, &mut ranking, approached, prediction)?;
-        self.try_in_another_light(frame, &mut ranking, predicted, prediction)?;
+        self.try_in_grey(scene, &mut ranking, approached, prediction)?;
+        self.try_in_another_light(scene, &mut ranking, predicted, prediction)?;
         let HypothesisRanking { best, is_last, impossible } = ranking;
         // A hypothesis outside the motion gate is reported as such, if no other explains the
         // contour.
         let no_hand = best.found.explained() < self.options.track.accept.min_inliers;
         let found = match impossible.filter(|_| no_hand) {
-            Some(hypothesis) => self.fit_stages(frame, hypothesis.path)?,
+            Some(hypothesis) => self.fit_stages(scene, hypothesis.path)?,
             None if is_last => best.found,
             // Repeated, so that the last search is that of the best hypothesis.
-            None => self.fit_stages(frame, best.path)?,
+            None => self.fit_stages(scene, best.path)?,
         };
-        self.selection(frame, &found, pushed_px)
+        self.selection(scene, &found, pushed_px)
     }
 
     /// A hand whose whole contour was seen recently may be partly covered and continue at its
     /// velocity.
     fn try_constant_velocity(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         ranking: &mut HypothesisRanking,
         predicted: Shape,
         prediction: Option<&MotionPrediction>,
@@ -175,7 +175,7 @@ impl ContourTracker {
             && self.hand.is_known_whole()
         {
             let path = self.constant_velocity_path(predicted, prediction, EdgeCue::HandEdges);
-            ranking.add(self.evaluate_path(frame, path, Some(prediction))?);
+            ranking.add(self.evaluate_path(scene, path, Some(prediction))?);
         }
         Ok(())
     }
@@ -199,7 +199,7 @@ impl ContourTracker {
     /// blurred.
     fn try_from_afar(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         ranking: &mut HypothesisRanking,
         approached: Shape,
         prediction: Option<&MotionPrediction>,
@@ -208,13 +208,13 @@ impl ContourTracker {
             return Ok(());
         }
         let blurred = self.evaluate_path(
-            frame,
+            scene,
             (approached, Scale::Coarse, None, EdgeCue::HandEdges),
             prediction,
         )?;
         let sharp_path = (blurred.found.shape, Scale::Fine, None, EdgeCue::HandEdges);
         ranking.add(blurred);
-        ranking.add(self.evaluate_path(frame, sharp_path, prediction)?);
+        ranking.add(self.evaluate_path(scene, sharp_path, prediction)?);
         Ok(())
     }
 
@@ -225,7 +225,7 @@ impl ContourTracker {
     /// for a hand lit from one side, which shows less in grey.
     fn try_in_grey(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         ranking: &mut HypothesisRanking,
         approached: Shape,
         prediction: Option<&MotionPrediction>,
@@ -239,7 +239,7 @@ impl ContourTracker {
         let is_mixed = self.hand.is_mixed() && self.hand.shaded.is_none();
         if is_mixed && ranking.best.score() < acquire_inliers {
             let grey = self.evaluate_path(
-                frame,
+                scene,
                 (approached, Scale::Fine, None, EdgeCue::GreyEdges),
                 prediction,
             )?;
@@ -253,7 +253,7 @@ impl ContourTracker {
     /// changed.
     fn try_in_another_light(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         ranking: &mut HypothesisRanking,
         predicted: Shape,
         prediction: Option<&MotionPrediction>,
@@ -265,7 +265,7 @@ impl ContourTracker {
             && ranking.best.score() < UNLIKE
         {
             let path = self.constant_velocity_path(predicted, prediction, EdgeCue::AnyEdge);
-            let relit = self.evaluate_path(frame, path, Some(prediction))?;
+            let relit = self.evaluate_path(scene, path, Some(prediction))?;
             let is_better = self.is_sufficient(&relit.found, Some(prediction))?;
             ranking.keep_better(relit, is_better);
         }
@@ -276,14 +276,14 @@ impl ContourTracker {
     /// the edges, those that do not match it count less.
     fn selection(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         found: &FitResult,
         pushed_px: f64,
     ) -> Result<Selection> {
         let expected = MOST * found.explained();
         let by_appearance = found.fit.is_some_and(|fit| fit.by_appearance);
         let likeness = if by_appearance && expected > 0.0 {
-            (self.matched_share(frame, found.edges(), SUPPORT_PX)? / expected)
+            (self.matched_share(scene, found.edges(), SUPPORT_PX)? / expected)
                 .clamp(UNLIKE_WEIGHT, 1.0)
         } else {
             1.0
@@ -294,18 +294,18 @@ impl ContourTracker {
     /// Fits and evaluates a hypothesis.
     fn evaluate_path(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         path: Path,
         prediction: Option<&MotionPrediction>,
     ) -> Result<Hypothesis> {
-        let found = self.fit_stages(frame, path)?;
-        self.evaluated(frame, &found, path, prediction)
+        let found = self.fit_stages(scene, path)?;
+        self.evaluated(scene, &found, path, prediction)
     }
 
     /// The result of the last search with its appearance share and ranking penalty.
     fn evaluated(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         found: &FitResult,
         path: Path,
         prediction: Option<&MotionPrediction>,
@@ -314,32 +314,32 @@ impl ContourTracker {
             Some(_) => self.motion(found, prediction)?.ranking_penalty,
             None => f64::INFINITY,
         };
-        let extension = self.goes_on_px(frame, &found.shape)? / self.hand.measure.length_px;
-        let matched = self.matched_share(frame, found.edges(), self.hand.matched_within_px())?
+        let extension = self.goes_on_px(scene, &found.shape)? / self.hand.measure.length_px;
+        let matched = self.matched_share(scene, found.edges(), self.hand.matched_within_px())?
             / (1.0 + extension);
         Ok(Hypothesis { found: *found, path, matched, ranking_penalty })
     }
 
     /// Fraction of the finger's contour whose edges are within `within_px` of the last fit and
     /// match the appearance model inside, 0–1.
-    fn matched_share(&mut self, frame: &Scene<'_>, edges: EdgeCue, within_px: f64) -> Result<f64> {
+    fn matched_share(&mut self, scene: &Scene<'_>, edges: EdgeCue, within_px: f64) -> Result<f64> {
         let samples = self.hand.fingers(&self.samples);
-        let search_model = self.hand.search_model(frame, edges, self.options.polarity);
-        self.convergence.matched_share(frame, &search_model, samples, within_px)
+        let search_model = self.hand.search_model(scene, edges, self.options.polarity);
+        self.convergence.matched_share(scene, &search_model, samples, within_px)
     }
 
     /// Distance that the hand extends beyond the tip of a finger, by the appearance model \[px\]; 0
     /// where that is unknown.
-    fn goes_on_px(&mut self, frame: &Scene<'_>, shape: &Shape) -> Result<f64> {
+    fn goes_on_px(&mut self, scene: &Scene<'_>, shape: &Shape) -> Result<f64> {
         if is_off(Mechanism::UncoveredTip) {
             return Ok(0.0);
         }
         let Shape::Ribbon(x) = shape else { return Ok(0.0) };
         let shaft = Shaft::of_band(x, self.hand.measure.length_px);
-        let search_model = self.hand.search_model(frame, EdgeCue::LogRatio, self.options.polarity);
+        let search_model = self.hand.search_model(scene, EdgeCue::LogRatio, self.options.polarity);
         let Some(appearance) = search_model.cue.appearance() else { return Ok(0.0) };
         let search_frame =
-            self.convergence.shown_about(frame, search_model.mixture, shaft.places_ahead(), 1.0)?;
+            self.convergence.shown_about(scene, search_model.mixture, shaft.places_ahead(), 1.0)?;
         Ok(shaft.goes_on_px(&search_frame, appearance))
     }
 
@@ -376,34 +376,34 @@ impl ContourTracker {
     /// Coarse localisation. If the appearance model applies, a grid search over the log-likelihood
     /// ratios of pixels comes first. Then the template translates, then rotates as well, along the
     /// normals.
-    fn approach(&mut self, frame: &Scene<'_>, from: Shape, reach_px: f64) -> Result<Shape> {
-        let (from, plan) = if self.hand.is_shown_in(frame) {
+    fn approach(&mut self, scene: &Scene<'_>, from: Shape, reach_px: f64) -> Result<Shape> {
+        let (from, plan) = if self.hand.is_shown_in(scene) {
             let plan = SearchPlan {
                 edge_cue: EdgeCue::LogRatio,
                 ..SearchPlan::edges(APPROACHED_REACH * reach_px)
             };
-            (self.grid_search(frame, from, reach_px)?, plan)
+            (self.grid_search(scene, from, reach_px)?, plan)
         } else {
             (from, SearchPlan::edges(reach_px))
         };
         Ok(match from {
             Shape::Planar(map) => {
-                let moved = self.planar::<Translation, 2>(frame, map, plan)?;
-                Shape::Planar(self.planar::<Rigid, 3>(frame, moved.shape, plan)?.shape)
+                let moved = self.planar::<Translation, 2>(scene, map, plan)?;
+                Shape::Planar(self.planar::<Rigid, 3>(scene, moved.shape, plan)?.shape)
             }
             Shape::Ribbon(x) => {
-                let moved = self.run_ribbon::<2>(frame, &x, Limb::Thumb, plan, None)?;
+                let moved = self.run_ribbon::<2>(scene, &x, Limb::Thumb, plan, None)?;
                 Shape::Ribbon(
-                    self.run_ribbon::<3>(frame, &moved.shape, Limb::Finger, plan, None)?.shape,
+                    self.run_ribbon::<3>(scene, &moved.shape, Limb::Finger, plan, None)?.shape,
                 )
             }
         })
     }
 
     /// The pose near another that best separates hand from background pixels.
-    fn grid_search(&mut self, frame: &Scene<'_>, about: Shape, reach_px: f64) -> Result<Shape> {
+    fn grid_search(&mut self, scene: &Scene<'_>, about: Shape, reach_px: f64) -> Result<Shape> {
         let Self { hand, samples, grid_search, convergence, options, .. } = self;
-        let search_model = hand.search_model(frame, EdgeCue::LogRatio, options.polarity);
+        let search_model = hand.search_model(scene, EdgeCue::LogRatio, options.polarity);
         let Some(appearance) = search_model.cue.appearance() else { return Ok(about) };
         let mut best = (f32::NEG_INFINITY, about);
         for turn_rad in GRID_TURNS_RAD {
@@ -413,7 +413,7 @@ impl ContourTracker {
             let turned = about.placed(&placement);
             hand.outline(&turned, samples, |_, placed| grid_search.push(&placed));
             let search_frame = convergence.shown_about(
-                frame,
+                scene,
                 search_model.mixture,
                 grid_search.pixels(),
                 reach_px,

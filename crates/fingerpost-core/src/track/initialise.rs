@@ -100,7 +100,7 @@ impl TemplateInitialiser<'_> {
     /// The hand at the initial template, if the image shows one. The thumb counts only where most
     /// of it is seen: the finger is found and tracked without it, and a misplaced thumb would turn
     /// the finger.
-    pub fn find(&self, convergence: &mut Convergence, frame: &Scene<'_>) -> Result<TemplateFit> {
+    pub fn find(&self, convergence: &mut Convergence, scene: &Scene<'_>) -> Result<TemplateFit> {
         let samples = finger_samples(self.samples).len() as f64;
         let mut best = Best {
             finger: FitResult::unfitted(*self.initial),
@@ -113,23 +113,23 @@ impl TemplateInitialiser<'_> {
                 for width in WIDTHS {
                     let mut from = initial;
                     from[3] *= width;
-                    let fitted_finger = self.finger(convergence, frame, &from, polarity)?;
-                    self.consider(&mut best, convergence, frame, &fitted_finger, polarity)?;
+                    let fitted_finger = self.finger(convergence, scene, &from, polarity)?;
+                    self.consider(&mut best, convergence, scene, &fitted_finger, polarity)?;
                 }
             }
             let polarity = self.options.polarity;
-            if frame.colour().is_none() && !is_off(Mechanism::CloseBy) {
-                for from in self.close_by(convergence, frame, angle_rad)? {
+            if scene.colour().is_none() && !is_off(Mechanism::CloseBy) {
+                for from in self.close_by(convergence, scene, angle_rad)? {
                     let half_px = MIN_HALF_LENGTH_PX;
                     let fitted_finger =
-                        self.bands::<5>(convergence, frame, &from, &initial, half_px, polarity)?;
+                        self.bands::<5>(convergence, scene, &from, &initial, half_px, polarity)?;
                     if fitted_finger.explains_finger() >= CLOSE_SEEN {
-                        self.consider(&mut best, convergence, frame, &fitted_finger, polarity)?;
+                        self.consider(&mut best, convergence, scene, &fitted_finger, polarity)?;
                     }
                 }
             }
-            let by_silhouette = self.fit_by_silhouette(convergence, frame, &initial, polarity)?;
-            self.consider(&mut best, convergence, frame, &by_silhouette, polarity)?;
+            let by_silhouette = self.fit_by_silhouette(convergence, scene, &initial, polarity)?;
+            self.consider(&mut best, convergence, scene, &by_silhouette, polarity)?;
             // The other angles serve a hand that is held up at a wrong angle.
             if self.score(&best.finger) >= CLEAR * samples {
                 break;
@@ -137,18 +137,18 @@ impl TemplateInitialiser<'_> {
         }
         let Best { finger, polarity: finger_polarity, .. } = best;
         if finger.fit.is_some() && self.measure.side != 0.0 {
-            let (hand, polarity) = self.thumb(convergence, frame, &finger.shape)?;
+            let (hand, polarity) = self.thumb(convergence, scene, &finger.shape)?;
             if hand.fit.is_some() {
                 let kind = Kind { has_thumb: true, polarity };
                 // Repeated, so that the last search is that of the best fit.
-                return self.refit(convergence, frame, &hand.shape, kind);
+                return self.refit(convergence, scene, &hand.shape, kind);
             }
         }
         let kind = Kind { has_thumb: false, polarity: finger_polarity };
         if finger.fit.is_none() {
             return Ok(TemplateFit { hand: finger, kind });
         }
-        self.refit(convergence, frame, &finger.shape, kind)
+        self.refit(convergence, scene, &finger.shape, kind)
     }
 
     /// Replaces the best finger by the one fitted last, or by the one that its appearance leads to,
@@ -157,7 +157,7 @@ impl TemplateInitialiser<'_> {
         &self,
         best: &mut Best,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         fitted_finger: &FitResult<RibbonVector>,
         polarity: Polarity,
     ) -> Result<()> {
@@ -165,13 +165,13 @@ impl TemplateInitialiser<'_> {
             return Ok(());
         }
         let (finger, separation) =
-            self.by_appearance(convergence, frame, fitted_finger, polarity)?;
+            self.by_appearance(convergence, scene, fitted_finger, polarity)?;
         let score = self.score(&finger) / finger_samples(self.samples).len() as f64;
-        let is_hand = self.stands_out(frame, &finger.shape, (separation, score))
+        let is_hand = self.stands_out(scene, &finger.shape, (separation, score))
             && (score >= NEARLY_ALL_EXPLAINED
                 || score * separation / (1.0 + separation) > LEAST_SCORE);
         if is_hand {
-            let quality = self.quality(convergence, frame, &finger.shape, (score, separation));
+            let quality = self.quality(convergence, scene, &finger.shape, (score, separation));
             if quality > best.quality {
                 *best = Best { finger, polarity, quality };
             }
@@ -187,15 +187,15 @@ impl TemplateInitialiser<'_> {
     fn quality(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         x: &RibbonVector,
         (explained, separation): (f64, f64),
     ) -> f64 {
-        if frame.colour().is_some() {
+        if scene.colour().is_some() {
             return explained * separation;
         }
         let samples = finger_samples(self.samples).len();
-        let sharpness = convergence.sharpness(samples, frame, &Silhouette::of_band(x));
+        let sharpness = convergence.sharpness(samples, scene, &Silhouette::of_band(x));
         explained * separation.sqrt() * (sharpness / SHARP).min(1.0).powi(2)
     }
 
@@ -207,7 +207,7 @@ impl TemplateInitialiser<'_> {
     pub fn refit(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         from: &RibbonVector,
         kind: Kind,
     ) -> Result<TemplateFit> {
@@ -215,28 +215,28 @@ impl TemplateInitialiser<'_> {
         let near_px = (NEAR_WIDTHS * from[3]).max(MIN_HALF_LENGTH_PX).min(reach_px);
         let least = self.options.acquire.accept.min_inliers;
         let (_, appearance_quality) =
-            self.rated_fit(convergence, frame, from, kind, EdgeCue::LogRatio, reach_px)?;
+            self.rated_fit(convergence, scene, from, kind, EdgeCue::LogRatio, reach_px)?;
         let mut edges =
-            self.rated_fit(convergence, frame, from, kind, EdgeCue::AnyEdge, reach_px)?;
+            self.rated_fit(convergence, scene, from, kind, EdgeCue::AnyEdge, reach_px)?;
         let mut searched_px = reach_px;
         if from[3] <= SLIM_PX && edges.0.hand.fit.is_none_or(|fit| fit.agreement < least) {
             searched_px = near_px;
-            edges = self.rated_fit(convergence, frame, from, kind, EdgeCue::AnyEdge, near_px)?;
+            edges = self.rated_fit(convergence, scene, from, kind, EdgeCue::AnyEdge, near_px)?;
         }
-        if frame.colour().is_none() {
+        if scene.colour().is_none() {
             let close_px = MIN_HALF_LENGTH_PX;
             let close =
-                self.rated_fit(convergence, frame, from, kind, EdgeCue::AnyEdge, close_px)?;
+                self.rated_fit(convergence, scene, from, kind, EdgeCue::AnyEdge, close_px)?;
             edges = if close.0.hand.explains_finger() >= CLOSE_SEEN && close.1 >= edges.1 {
                 close
             } else {
                 // Repeated, so that the last search is that of the best fit.
-                self.rated_fit(convergence, frame, from, kind, EdgeCue::AnyEdge, searched_px)?
+                self.rated_fit(convergence, scene, from, kind, EdgeCue::AnyEdge, searched_px)?
             };
         }
         if appearance_quality > MIN_SCORE_GAIN * edges.1 {
             // Repeated, so that the last search is that of the best fit.
-            edges = self.rated_fit(convergence, frame, from, kind, EdgeCue::LogRatio, reach_px)?;
+            edges = self.rated_fit(convergence, scene, from, kind, EdgeCue::LogRatio, reach_px)?;
         }
         Ok(edges.0)
     }
@@ -246,7 +246,7 @@ impl TemplateInitialiser<'_> {
     fn rated_fit(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         from: &RibbonVector,
         kind: Kind,
         edge_cue: EdgeCue,
@@ -255,25 +255,25 @@ impl TemplateInitialiser<'_> {
         let Kind { has_thumb, polarity } = kind;
         let has_thumb = has_thumb && edge_cue == EdgeCue::AnyEdge;
         let fitted_finger = if edge_cue == EdgeCue::LogRatio {
-            self.fit_by_silhouette(convergence, frame, from, polarity)?
+            self.fit_by_silhouette(convergence, scene, from, polarity)?
         } else if has_thumb {
-            self.whole(convergence, frame, from, half_px, polarity)?
+            self.whole(convergence, scene, from, half_px, polarity)?
         } else {
-            self.bands::<5>(convergence, frame, from, from, half_px, polarity)?
+            self.bands::<5>(convergence, scene, from, from, half_px, polarity)?
         };
         let none = |x| TemplateFit { hand: FitResult::unfitted(x), kind };
         if !self.is_plausible(&fitted_finger, has_thumb) {
             return Ok((none(fitted_finger.shape), 0.0));
         }
         let (hand, separation) =
-            self.by_appearance(convergence, frame, &fitted_finger, polarity)?;
+            self.by_appearance(convergence, scene, &fitted_finger, polarity)?;
         let explained = hand.explains_finger();
         let Some(fit) =
-            hand.fit.filter(|_| self.stands_out(frame, &hand.shape, (separation, explained)))
+            hand.fit.filter(|_| self.stands_out(scene, &hand.shape, (separation, explained)))
         else {
             return Ok((none(hand.shape), 0.0));
         };
-        let quality = self.quality(convergence, frame, &hand.shape, (explained, separation));
+        let quality = self.quality(convergence, scene, &hand.shape, (explained, separation));
         // Appearance may have moved the finger and dropped the thumb.
         let has_thumb = has_thumb && fit.shape.names.len() == RIBBON_DOF;
         Ok((TemplateFit { hand, kind: Kind { has_thumb, polarity } }, quality))
@@ -304,21 +304,21 @@ impl TemplateInitialiser<'_> {
     fn by_appearance(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         fitted_finger: &FitResult<RibbonVector>,
         polarity: Polarity,
     ) -> Result<(FitResult<RibbonVector>, f64)> {
         let samples = finger_samples(self.samples);
-        let separation = self.finger_separation(convergence, frame, &fitted_finger.shape);
+        let separation = self.finger_separation(convergence, scene, &fitted_finger.shape);
         let (mut x, mut best) = (fitted_finger.shape, (*fitted_finger, separation));
-        let mut appearance = convergence.lend_appearance(frame);
+        let mut appearance = convergence.lend_appearance(scene);
         let reach_px = self.options.acquire.reach_px(self.initial[3]);
         for _ in 0..LED_ROUNDS {
             let silhouette = Silhouette::of_band(&x);
-            convergence.teach(&mut appearance, samples.len(), frame, &silhouette, (0.0, 1.0))?;
+            convergence.teach(&mut appearance, samples.len(), scene, &silhouette, (0.0, 1.0))?;
             let refitted = self.fit_by_appearance(
                 convergence,
-                frame,
+                scene,
                 &appearance,
                 (&x, &fitted_finger.shape),
                 polarity,
@@ -327,7 +327,7 @@ impl TemplateInitialiser<'_> {
                 break;
             }
             x = refitted.shape;
-            let separation = self.finger_separation(convergence, frame, &x);
+            let separation = self.finger_separation(convergence, scene, &x);
             let displacement_px =
                 (x.fixed_rows::<2>(0) - fitted_finger.shape.fixed_rows::<2>(0)).norm();
             let quality = best.0.explains_finger() * best.1;
@@ -346,26 +346,26 @@ impl TemplateInitialiser<'_> {
     fn fit_by_silhouette(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         from: &RibbonVector,
         polarity: Polarity,
     ) -> Result<FitResult<RibbonVector>> {
-        let mut appearance = convergence.lend_appearance(frame);
+        let mut appearance = convergence.lend_appearance(scene);
         // First it only moves and turns: its width is that of the pixels taken for inside.
         let reach_px = self.options.acquire.reach_px(self.initial[3]);
         let mut fitted = FitResult::unfitted(*from);
-        if self.teach_at(convergence, frame, &mut appearance, from)?
-            && let Some(log_ratios) = appearance.search_model(frame, EdgeCue::LogRatio, polarity)
+        if self.teach_at(convergence, scene, &mut appearance, from)?
+            && let Some(log_ratios) = appearance.search_model(scene, EdgeCue::LogRatio, polarity)
         {
             fitted =
-                self.bands_with_model::<3>(convergence, frame, (from, from), reach_px, log_ratios)?;
+                self.bands_with_model::<3>(convergence, scene, (from, from), reach_px, log_ratios)?;
         }
         if fitted.fit.is_some()
-            && self.teach_at(convergence, frame, &mut appearance, &fitted.shape)?
+            && self.teach_at(convergence, scene, &mut appearance, &fitted.shape)?
         {
             fitted = self.fit_by_appearance(
                 convergence,
-                frame,
+                scene,
                 &appearance,
                 (&fitted.shape, from),
                 polarity,
@@ -380,14 +380,14 @@ impl TemplateInitialiser<'_> {
     fn teach_at(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         appearance: &mut AppearanceModel,
         x: &RibbonVector,
     ) -> Result<bool> {
         let pose =
             Ribbon::<5>::about(x, &self.measure.with_thumb(false))?.pose(&Ribbon::<5>::free(x));
         let contour = finger_samples(self.samples).iter().map(|sample| pose.place(sample));
-        convergence.teach_at(appearance, frame, contour, &Silhouette::of_band(x))
+        convergence.teach_at(appearance, scene, contour, &Silhouette::of_band(x))
     }
 
     /// The fit that an appearance model leads to: by log-likelihood ratios from afar, then by edges
@@ -396,7 +396,7 @@ impl TemplateInitialiser<'_> {
     fn fit_by_appearance(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         appearance: &AppearanceModel,
         (from, prior_mean): (&RibbonVector, &RibbonVector),
         polarity: Polarity,
@@ -404,10 +404,10 @@ impl TemplateInitialiser<'_> {
         let reach_px = self.options.acquire.reach_px(self.initial[3]);
         let near_px = MIN_HALF_LENGTH_PX;
         let mut fitted = FitResult::unfitted(*from);
-        let Some(log_ratios) = appearance.search_model(frame, EdgeCue::LogRatio, polarity) else {
+        let Some(log_ratios) = appearance.search_model(scene, EdgeCue::LogRatio, polarity) else {
             return Ok(fitted);
         };
-        let Some(edges) = appearance.search_model(frame, EdgeCue::HandEdges, polarity) else {
+        let Some(edges) = appearance.search_model(scene, EdgeCue::HandEdges, polarity) else {
             return Ok(fitted);
         };
         // For an appearance model learned from one frame, grey edges gain nothing.
@@ -418,7 +418,7 @@ impl TemplateInitialiser<'_> {
         {
             fitted = self.bands_with_model::<5>(
                 convergence,
-                frame,
+                scene,
                 (&fitted.shape, prior_mean),
                 half_px,
                 search_model,
@@ -434,26 +434,27 @@ impl TemplateInitialiser<'_> {
     fn finger_separation(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         x: &RibbonVector,
     ) -> f64 {
         let samples = finger_samples(self.samples).len();
         let shaft = Shaft::of_band(x, self.measure.length_px);
-        convergence.finger_separation(samples, frame, &Silhouette::of_band(x), Some(&shaft))
+        convergence.finger_separation(samples, scene, &Silhouette::of_band(x), Some(&shaft))
     }
 
     /// Whether a finger with this separation and explained fraction of its contour stands out; see
     /// [`stands_out`].
     fn stands_out(
         &self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         x: &RibbonVector,
         (separation, explained): (f64, f64),
     ) -> bool {
         stands_out(separation, explained, || {
             let space = Ribbon::<5>::about(x, &self.measure.with_thumb(false)).ok()?;
             let pose = space.pose(&Ribbon::<5>::free(x));
-            let mut foreground_test = ForegroundTest::before(frame.table()?, x[3]);
+            let mut foreground_test =
+                ForegroundTest::before(scene.background_for_validation()?, x[3]);
             for sample in finger_samples(self.samples) {
                 foreground_test.add(&pose.place(sample));
             }
@@ -503,26 +504,26 @@ impl TemplateInitialiser<'_> {
     fn finger(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         from: &RibbonVector,
         polarity: Polarity,
     ) -> Result<FitResult<RibbonVector>> {
         let half_px = self.options.acquire.reach_px(self.initial[3]);
-        let moved = self.bands::<2>(convergence, frame, from, from, half_px, polarity)?;
-        let turned = self.bands::<3>(convergence, frame, &moved.shape, from, half_px, polarity)?;
-        self.bands::<5>(convergence, frame, &turned.shape, from, half_px, polarity)
+        let moved = self.bands::<2>(convergence, scene, from, from, half_px, polarity)?;
+        let turned = self.bands::<3>(convergence, scene, &moved.shape, from, half_px, polarity)?;
+        self.bands::<5>(convergence, scene, &turned.shape, from, half_px, polarity)
     }
 
     /// Fits finger and thumb together.
     pub(super) fn whole(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         from: &RibbonVector,
         half_length_px: f64,
         polarity: Polarity,
     ) -> Result<FitResult<RibbonVector>> {
-        self.bands::<RIBBON_DOF>(convergence, frame, from, from, half_length_px, polarity)
+        self.bands::<RIBBON_DOF>(convergence, scene, from, from, half_length_px, polarity)
     }
 
     /// Fits the first `D` components of the band template's shape vector, from `x`; `prior_mean`
@@ -531,7 +532,7 @@ impl TemplateInitialiser<'_> {
     fn bands<const D: usize>(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         x: &RibbonVector,
         prior_mean: &RibbonVector,
         half_length_px: f64,
@@ -540,7 +541,7 @@ impl TemplateInitialiser<'_> {
         let search_model = SearchModel::unknown(polarity);
         self.bands_with_model::<D>(
             convergence,
-            frame,
+            scene,
             (x, prior_mean),
             half_length_px,
             search_model,
@@ -551,7 +552,7 @@ impl TemplateInitialiser<'_> {
     fn bands_with_model<const D: usize>(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         (x, prior_mean): (&RibbonVector, &RibbonVector),
         half_length_px: f64,
         search_model: SearchModel<'_>,
@@ -562,7 +563,7 @@ impl TemplateInitialiser<'_> {
         let space = Ribbon::<D>::about(x, &self.measure.with_thumb(has_thumb))?;
         let prior = (D > 3).then(|| self.initial_prior::<D>(prior_mean));
         let start = Ribbon::<D>::free(x);
-        let fitted_finger = convergence.run_bands(frame, &space, start, &stage, prior.as_ref())?;
+        let fitted_finger = convergence.run_bands(scene, &space, start, &stage, prior.as_ref())?;
         Ok(fitted_finger.map(|x| space.full(&x)))
     }
 
@@ -571,7 +572,7 @@ impl TemplateInitialiser<'_> {
     pub(super) fn support<const D: usize>(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         x: &RibbonVector,
         reach_px: f64,
         polarity: Polarity,
@@ -582,7 +583,7 @@ impl TemplateInitialiser<'_> {
             if has_thumb { thumb_samples(self.samples) } else { finger_samples(self.samples) };
         let stage = stage(samples, SearchModel::unknown(polarity), reach_px);
         let x = Ribbon::<D>::free(x);
-        let offsets = convergence.offsets(frame, &space, &x, &stage)?.filter_map(|(_, px)| px);
+        let offsets = convergence.offsets(scene, &space, &x, &stage)?.filter_map(|(_, px)| px);
         Ok(offsets.map(|d| (1000.0 * (1.0 - (d / reach_px).abs()).max(0.0)) as u64).sum())
     }
 }

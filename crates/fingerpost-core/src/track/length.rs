@@ -59,7 +59,7 @@ const SLACK: f64 = 4.0;
 impl ContourTracker {
     /// Shortens the settled template to its finger; tip and thumb keep their places. False if the
     /// width changes by more than [`SAME_WIDTH`]: then it has not settled on a finger.
-    pub(super) fn take_length(&mut self, frame: &Scene<'_>, settled: &FitResult) -> Result<bool> {
+    pub(super) fn take_length(&mut self, scene: &Scene<'_>, settled: &FitResult) -> Result<bool> {
         if is_off(Mechanism::TemplateLength) {
             return Ok(true);
         }
@@ -68,12 +68,12 @@ impl ContourTracker {
         for _ in 0..ROUNDS {
             let Shape::Ribbon(x) = self.hand.shape else { break };
             let scatter_px = fit.residual_rms_px;
-            let Some(length_px) = self.corrected_length(frame, &x, &proportions, scatter_px)?
+            let Some(length_px) = self.corrected_length(scene, &x, &proportions, scatter_px)?
             else {
                 break;
             };
             let before = self.hand.clone();
-            let found = self.resized(frame, &x, BandMeasure::of(&proportions, length_px))?;
+            let found = self.resized(scene, &x, BandMeasure::of(&proportions, length_px))?;
             let change = self.hand.shape.width() / before.shape.width();
             let is_accepted = found.is_accepted(&self.options.acquire.accept);
             let Some(resized) = found.fit.filter(|_| is_accepted) else {
@@ -85,7 +85,7 @@ impl ContourTracker {
             }
             fit = resized;
             self.hand.appearance = None;
-            self.learn_appearance(frame, 1)?;
+            self.learn_appearance(scene, 1)?;
         }
         Ok(true)
     }
@@ -96,15 +96,15 @@ impl ContourTracker {
     /// lengthened again at most to the shorter and to its initial length.
     fn corrected_length(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         x: &RibbonVector,
         proportions: &Proportions,
         scatter_px: f64,
     ) -> Result<Option<f64>> {
         let Proportions { half_width, flank_start, .. } = *proportions;
         let (half_width_px, present_px) = (x[3], self.hand.measure.length_px);
-        let Some(visible_px) = self.visible_length_px(frame, x)? else { return Ok(None) };
-        let flank_px = self.flanks_px(frame, x, HALF_LENGTH - half_width, scatter_px)?;
+        let Some(visible_px) = self.visible_length_px(scene, x)? else { return Ok(None) };
+        let flank_px = self.flanks_px(scene, x, HALF_LENGTH - half_width, scatter_px)?;
         let by_colours_px = visible_px / (HALF_LENGTH - flank_start);
         let by_edges_px = flank_px / (HALF_LENGTH - half_width - flank_start);
         let most_px = by_colours_px.max(by_edges_px).max(SHORTEST * half_width_px);
@@ -118,13 +118,13 @@ impl ContourTracker {
 
     /// Length from its tip back over which the finger shows its own colours, the shorter of both
     /// sides \[px\]; `None` without an appearance.
-    fn visible_length_px(&mut self, frame: &Scene<'_>, x: &RibbonVector) -> Result<Option<f64>> {
+    fn visible_length_px(&mut self, scene: &Scene<'_>, x: &RibbonVector) -> Result<Option<f64>> {
         let axis = self.ribbon::<RIBBON_DOF>(x)?.pose(x).axis();
         let shaft = Shaft { axis, half_width_px: x[3], length_px: BACK * x[3] };
-        let search_model = self.hand.search_model(frame, EdgeCue::LogRatio, self.options.polarity);
+        let search_model = self.hand.search_model(scene, EdgeCue::LogRatio, self.options.polarity);
         let Some(appearance) = search_model.cue.appearance() else { return Ok(None) };
         let search_frame =
-            self.convergence.shown_about(frame, search_model.mixture, shaft.corners(), 1.0)?;
+            self.convergence.shown_about(scene, search_model.mixture, shaft.corners(), 1.0)?;
         let [right, left] = shaft.shows_px(&search_frame, appearance);
         Ok(Some(right.min(left)))
     }
@@ -133,7 +133,7 @@ impl ContourTracker {
     /// both flanks have edges \[px\]. Places that a thumb hides do not count.
     fn flanks_px(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         x: &RibbonVector,
         round_end: f64,
         scatter_px: f64,
@@ -146,9 +146,9 @@ impl ContourTracker {
         let within_px = (ALONG * x[3]).max(ALONG_PX).max(ALONG_SCATTER * scatter_px);
         let plan = SearchPlan::edges(near_px(x, within_px));
         let space = self.ribbon::<RIBBON_DOF>(x)?;
-        let stage = self.hand.stage(&samples, frame, plan, self.options.polarity);
+        let stage = self.hand.stage(&samples, scene, plan, self.options.polarity);
         let (mut sums, mut best, mut ends_px) = ([0.0; 2], [0.0; 2], [0.0; 2]);
-        for (i, offset_px) in self.convergence.offsets(frame, &space, x, &stage)? {
+        for (i, offset_px) in self.convergence.offsets(scene, &space, x, &stage)? {
             let (flank, back_px) = (i / STATIONS, step_px * ((i % STATIONS) as f64 + 0.5));
             let is_on_flank = offset_px.is_some_and(|px| px.abs() <= within_px);
             sums[flank] += if is_on_flank { 1.0 } else { -1.0 };
@@ -162,7 +162,7 @@ impl ContourTracker {
     /// The finger fitted by a template of another length about the same tip.
     fn resized(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         x: &RibbonVector,
         measure: BandMeasure,
     ) -> Result<FitResult> {
@@ -170,7 +170,7 @@ impl ContourTracker {
         (self.hand.measure, self.hand.acquired) = (measure, from);
         let prior = self.tracked_prior::<5>(&from, SLACK);
         let plan = SearchPlan::edges(near_px(x, MIN_HALF_LENGTH_PX));
-        let finger = self.run_ribbon::<5>(frame, &from, Limb::Finger, plan, Some(&prior))?;
+        let finger = self.run_ribbon::<5>(scene, &from, Limb::Finger, plan, Some(&prior))?;
         self.hand.shape = Shape::Ribbon(with_thumb_of(&from, &finger.shape));
         Ok(finger.into())
     }

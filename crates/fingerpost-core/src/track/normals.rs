@@ -3,7 +3,7 @@
 use super::appearance::{GreyCue, SearchModel};
 use super::options::TrackerOptions;
 use super::pyramid::PyramidLevel;
-use super::scene::{Behind, Scene};
+use super::scene::{Scene, SceneBackground};
 use crate::Result;
 use crate::appearance::discriminant::region_about;
 use crate::appearance::histogram::INSIDE_PX;
@@ -144,7 +144,7 @@ impl Normals {
                 }
             }
         }
-        match scene.background() {
+        match scene.background_for_search() {
             Some(background) if !matches!(search_model.cue, Cue::LogRatio(_)) => {
                 self.search_before(background, search_frame, search_model, scale)
             }
@@ -208,7 +208,7 @@ impl Normals {
     /// own edge is searched again.
     fn search_before(
         &mut self,
-        background: Behind<'_>,
+        background: SceneBackground<'_>,
         search_frame: &Frame<'_>,
         search_model: &SearchModel<'_>,
         scale: Scale,
@@ -285,12 +285,12 @@ pub(super) fn at_edge(line: &SearchLine, edge: &Edge) -> PlacedSample {
 }
 
 /// Foreground probability at a position on a search line; `None` if unknown.
-fn foreground(background: Behind<'_>, line: &SearchLine, at: f64) -> Option<f64> {
+fn foreground(background: SceneBackground<'_>, line: &SearchLine, at: f64) -> Option<f64> {
     background.foreground(line.sample.position + line.sample.normal * at)
 }
 
 /// Whether the pixels inside of an edge are background; false if that is unknown.
-fn is_background(background: Behind<'_>, line: &SearchLine, offset_px: f64) -> bool {
+fn is_background(background: SceneBackground<'_>, line: &SearchLine, offset_px: f64) -> bool {
     let (mut sum, mut count) = (0.0, 0.0);
     for inside_px in INSIDE_PX {
         if let Some(likely) = foreground(background, line, offset_px - inside_px) {
@@ -303,7 +303,7 @@ fn is_background(background: Behind<'_>, line: &SearchLine, offset_px: f64) -> b
 
 /// Position along a line where foreground ends and background begins, from inside outwards, by the
 /// best change point; `None` without both.
-fn where_hand_begins(background: Behind<'_>, line: &SearchLine) -> Option<f64> {
+fn where_hand_begins(background: SceneBackground<'_>, line: &SearchLine) -> Option<f64> {
     let reach = line.half_length_px.floor();
     let (mut sum, mut best, mut begins_px) = (0.0, 0.0, None);
     let mut at = -reach;

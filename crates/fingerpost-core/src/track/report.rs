@@ -60,7 +60,7 @@ impl ContourTracker {
     /// Result of a frame whose fit was accepted, with the finger line.
     pub(super) fn tracked(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         time_s: f64,
         found: &FitResult,
         accept: &AcceptOptions,
@@ -73,15 +73,15 @@ impl ContourTracker {
             _ => None,
         };
         let refined = match &finger {
-            Some(finger) => self.refine(frame, finger, found)?,
+            Some(finger) => self.refine(scene, finger, found)?,
             None => None,
         };
         let mut front = None;
         if let (Some(finger), Some(refined)) = (&finger, &refined)
             && is_uncovered(found)
         {
-            self.axis_curvature.learn(refined, frame.colour().is_some());
-            front = self.front_of(frame, finger, found, refined)?;
+            self.axis_curvature.learn(refined, scene.colour().is_some());
+            front = self.front_of(scene, finger, found, refined)?;
         }
         let finger_line = self.line_of(found, refined.as_ref());
         let finger_line = match self.hand.shape {
@@ -97,7 +97,7 @@ impl ContourTracker {
                     .axis_curvature
                     .at_front(line, front.as_ref(), &scale)
                     .with_relative_bias(bend_bias);
-                let filtered = self.line_filter.follow(frame.image(), time_s, line, &dimensions);
+                let filtered = self.line_filter.follow(scene.image(), time_s, line, &dimensions);
                 let spread_ratio = (filtered.spread() / line.spread()).min(1.0);
                 let restored_bias = bend_bias * (1.0 - spread_ratio).sqrt();
                 // A bias that is equal in all frames must not affect the weights.
@@ -118,7 +118,7 @@ impl ContourTracker {
     /// flanks alone, where these are more precise than the curvature of the whole.
     fn front_of(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         finger: &Finger,
         found: &FitResult,
         whole: &Refined,
@@ -132,7 +132,7 @@ impl ContourTracker {
         };
         let ends_px = (finger.axis.tip - finger.axis.anchor).norm() - far_px;
         let flanks = finger.flanks.map(|s| Stretch { from_px: s.from_px.max(ends_px), ..s });
-        let front = self.refine(frame, &Finger { flanks, ..*finger }, found)?;
+        let front = self.refine(scene, &Finger { flanks, ..*finger }, found)?;
         let front = front.filter(|front| front.source != Source::Bisector);
         Ok(front.map(|front| {
             FrontLine::beside(&FingerLine::of_pixels(&front), &FingerLine::of_pixels(whole))
@@ -208,19 +208,19 @@ impl ContourTracker {
     /// The finger line refined from its flanks; `None` if they are not trusted.
     fn refine(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         finger: &Finger,
         found: &FitResult,
     ) -> Result<Option<Refined>> {
-        if let Some(refined) = self.refine_whole(frame, finger, found.edges())? {
+        if let Some(refined) = self.refine_whole(scene, finger, found.edges())? {
             return Ok(Some(refined));
         }
-        let search_model = self.hand.search_model(frame, found.edges(), self.options.polarity);
-        let search_frame = self.convergence.shown(frame, search_model.mixture, finger)?;
+        let search_model = self.hand.search_model(scene, found.edges(), self.options.polarity);
+        let search_frame = self.convergence.shown(scene, search_model.mixture, finger)?;
         let appearance = search_model.cue.appearance();
         // The background model has grey levels, whatever mixture of colours shows the hand best.
-        let behind = frame.background();
-        let known = behind.as_ref().map(|b| b.known().behind(*frame.image()));
+        let behind = scene.background_for_search();
+        let known = behind.as_ref().map(|b| b.known().behind(*scene.image()));
         self.refiner.refine(
             &search_frame,
             finger,
@@ -234,22 +234,22 @@ impl ContourTracker {
     /// pixels agree with a finger and are sharp enough to add information.
     fn refine_whole(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         finger: &Finger,
         edges: EdgeCue,
     ) -> Result<Option<Refined>> {
         if is_off(Mechanism::FullResolution) {
             return Ok(None);
         }
-        let (Some(whole), pyramid_level) = (frame.whole(), self.pyramid_level) else {
+        let (Some(whole), pyramid_level) = (scene.whole(), self.pyramid_level) else {
             return Ok(None);
         };
         let finger = pyramid_level.finger(finger);
-        let search_model = self.hand.search_model(frame, edges, self.options.polarity);
+        let search_model = self.hand.search_model(scene, edges, self.options.polarity);
         let search_frame =
             self.whole.shown(whole, search_model.mixture, || finger_region(&finger))?;
         let appearance = search_model.cue.appearance();
-        let behind = frame.background();
+        let behind = scene.background_for_search();
         let known = behind.as_ref().map(|b| b.known_whole().behind(*whole.image()));
         let refined = self.refiner.refine(
             &search_frame,
@@ -306,14 +306,14 @@ impl ContourTracker {
 
     /// Bend of the finger of an accepted fit, from its flanks; `None` for the model of 1994 and for
     /// flanks that do not show it.
-    pub(super) fn bend(&mut self, frame: &Scene<'_>, found: &FitResult) -> Result<Option<Bend>> {
+    pub(super) fn bend(&mut self, scene: &Scene<'_>, found: &FitResult) -> Result<Option<Bend>> {
         if is_off(Mechanism::BendState) {
             return Ok(None);
         }
         let Shape::Ribbon(x) = found.shape else { return Ok(None) };
         let Some(finger) = self.finger(&x, found, Flanks::Visible)? else { return Ok(None) };
-        let search_model = self.hand.search_model(frame, found.edges(), self.options.polarity);
-        let search_frame = self.convergence.shown(frame, search_model.mixture, &finger)?;
+        let search_model = self.hand.search_model(scene, found.edges(), self.options.polarity);
+        let search_frame = self.convergence.shown(scene, search_model.mixture, &finger)?;
         self.refiner.bend(
             &search_frame,
             &finger,
@@ -324,22 +324,22 @@ impl ContourTracker {
 
     /// Learns the hand's appearance from an accepted fit, every [`FRAMES_A_LESSON`] frames. If the
     /// fit was not found by appearance, the light has changed: the model is replaced.
-    pub(super) fn update_appearance(&mut self, frame: &Scene<'_>, found: &FitResult) -> Result<()> {
+    pub(super) fn update_appearance(&mut self, scene: &Scene<'_>, found: &FitResult) -> Result<()> {
         let is_relit =
-            self.hand.is_shown_in(frame) && found.fit.is_some_and(|fit| !fit.by_appearance);
+            self.hand.is_shown_in(scene) && found.fit.is_some_and(|fit| !fit.by_appearance);
         let place = self.hand.shape.placement().xy();
         let moved_px = (place - self.hand.taught_at_px).norm();
         let is_in_place = moved_px <= RELEARN_MIN_MOTION_HALF_WIDTHS * self.hand.acquired[3];
         self.hand.untaught_frames += 1;
         if is_relit {
             self.hand.appearance = None;
-        } else if self.hand.is_shown_in(frame)
+        } else if self.hand.is_shown_in(scene)
             && is_in_place
             && self.hand.untaught_frames < FRAMES_A_LESSON
         {
             return Ok(());
         }
-        self.learn_appearance(frame, self.hand.untaught_frames)?;
+        self.learn_appearance(scene, self.hand.untaught_frames)?;
         (self.hand.taught_at_px, self.hand.untaught_frames) = (place, 0);
         if let Some(appearance) = self.hand.appearance.as_mut().filter(|_| is_relit) {
             appearance.anchor();
@@ -349,8 +349,8 @@ impl ContourTracker {
 
     /// Learns the pixels on either side of the contour of the last accepted fit, with the weight of
     /// `frames` frames.
-    pub(super) fn learn_appearance(&mut self, frame: &Scene<'_>, frames: usize) -> Result<()> {
-        let coloured = frame.colour().is_some();
+    pub(super) fn learn_appearance(&mut self, scene: &Scene<'_>, frames: usize) -> Result<()> {
+        let coloured = scene.colour().is_some();
         let known = self.hand.appearance.as_ref().map(AppearanceModel::is_coloured);
         if known == Some(true) && !coloured {
             return Ok(());
@@ -366,18 +366,18 @@ impl ContourTracker {
             Model::Ribbon => AppearanceModel::new(coloured).with_flank_levels().with_shaded(shaded),
             Model::Paper => AppearanceModel::new(coloured),
         });
-        self.convergence.teach(appearance, samples, frame, &finger, (keep, frames as f64))
+        self.convergence.teach(appearance, samples, scene, &finger, (keep, frames as f64))
     }
 
     /// Learns the background where the hand of the last accepted fit ends without an edge.
     /// Occluders elsewhere are not learned.
-    pub(super) fn learn_behind(&mut self, frame: &Scene<'_>) -> Result<()> {
+    pub(super) fn learn_behind(&mut self, scene: &Scene<'_>) -> Result<()> {
         if is_off(Mechanism::UnseenBackground) {
             return Ok(());
         }
         let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
         self.hand.appearance.as_mut().map_or(Ok(()), |appearance| {
-            self.convergence.teach_unseen(appearance, samples, frame, &finger)
+            self.convergence.teach_unseen(appearance, samples, scene, &finger)
         })
     }
 }

@@ -1,4 +1,4 @@
-//! A frame with the model of its background.
+//! A frame, or the reduced image of it, with the model of its background.
 
 use super::pyramid::PyramidLevel;
 use crate::appearance::background::Background;
@@ -14,7 +14,7 @@ pub(super) struct Scene<'a> {
     frame: Frame<'a>,
     background: Option<&'a Background>,
     /// Whether the background is used in the search for the hand, and not only in its validation.
-    leads: bool,
+    guides_search: bool,
     whole: Frame<'a>,
     pyramid_level: PyramidLevel,
 }
@@ -27,7 +27,7 @@ impl<'a> Scene<'a> {
         Self {
             frame: *frame,
             background,
-            leads: true,
+            guides_search: true,
             whole: *frame,
             pyramid_level: PyramidLevel::NONE,
         }
@@ -41,9 +41,9 @@ impl<'a> Scene<'a> {
         Scene { frame: picture, pyramid_level, ..*self }
     }
 
-    /// The same, without the background in the search.
-    pub fn alone(&self) -> Self {
-        Self { leads: false, ..*self }
+    /// The same, with the background used in validation only.
+    pub fn without_background_in_search(&self) -> Self {
+        Self { guides_search: false, ..*self }
     }
 
     /// The frame at full resolution; `None` unless the scene shows a reduced image.
@@ -52,13 +52,13 @@ impl<'a> Scene<'a> {
     }
 
     /// The background, if it is known and used in the search.
-    pub fn background(&self) -> Option<Behind<'_>> {
-        self.table().filter(|_| self.leads)
+    pub fn background_for_search(&self) -> Option<SceneBackground<'_>> {
+        self.background_for_validation().filter(|_| self.guides_search)
     }
 
-    /// The background, if it is known, for validation: also if it is not used in the search.
-    pub fn table(&self) -> Option<Behind<'_>> {
-        self.background.map(|background| Behind { background, scene: self })
+    /// The background, if it is known, also if it is not used in the search.
+    pub fn background_for_validation(&self) -> Option<SceneBackground<'_>> {
+        self.background.map(|background| SceneBackground { background, scene: self })
     }
 }
 
@@ -72,12 +72,12 @@ impl<'a> Deref for Scene<'a> {
 
 /// The background of a scene.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Behind<'a> {
+pub(super) struct SceneBackground<'a> {
     background: &'a Background,
     scene: &'a Scene<'a>,
 }
 
-impl<'a> Behind<'a> {
+impl<'a> SceneBackground<'a> {
     /// Foreground probability of a place, 0–1; see [`Background::foreground`].
     pub fn foreground(self, at: Point2<f64>) -> Option<f64> {
         let Scene { pyramid_level, whole, .. } = self.scene;

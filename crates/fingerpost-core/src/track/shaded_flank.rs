@@ -83,21 +83,21 @@ struct ShadedFlank {
 impl ContourTracker {
     /// Fits an acquired hand again if its finger is lit from one side, and stores the shaded flank.
     /// Otherwise the hand is left as it is.
-    pub(super) fn find_shaded_flank(&mut self, frame: &Scene<'_>) -> Result<()> {
+    pub(super) fn find_shaded_flank(&mut self, scene: &Scene<'_>) -> Result<()> {
         if is_off(Mechanism::ShadedFlank) {
             return Ok(());
         }
         let (Shape::Ribbon(x), Model::Ribbon) = (self.hand.shape, self.options.model) else {
             return Ok(());
         };
-        let left = self.shaded(frame, &x, Part::LeftFlank)?;
-        let right = self.shaded(frame, &x, Part::RightFlank)?;
+        let left = self.shaded(scene, &x, Part::LeftFlank)?;
+        let right = self.shaded(scene, &x, Part::RightFlank)?;
         let flanks = left.into_iter().chain(right);
         let Some(shaded) = flanks.min_by(|a, b| a.brightness.total_cmp(&b.brightness)) else {
             return Ok(());
         };
         let before = (self.hand.clone(), self.convergence.clone());
-        if !self.fit_shaded_flank(frame, &x, &shaded)? {
+        if !self.fit_shaded_flank(scene, &x, &shaded)? {
             (self.hand, self.convergence) = before;
         }
         Ok(())
@@ -106,11 +106,11 @@ impl ContourTracker {
     /// A flank, if it is shaded.
     fn shaded(
         &self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         x: &RibbonVector,
         flank: Part,
     ) -> Result<Option<ShadedFlank>> {
-        let Some(flank_profile) = self.flank_profile(frame, x, flank)? else { return Ok(None) };
+        let Some(flank_profile) = self.flank_profile(scene, x, flank)? else { return Ok(None) };
         let shaded = flank_profile.shaded(x[3]);
         Ok(shaded.map(|(beyond_px, brightness)| ShadedFlank { flank, beyond_px, brightness }))
     }
@@ -119,11 +119,11 @@ impl ContourTracker {
     /// the frame, or where the chromaticities are not separated.
     fn flank_profile(
         &self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         x: &RibbonVector,
         flank: Part,
     ) -> Result<Option<FlankProfile>> {
-        let Some(colours) = frame.colour() else { return Ok(None) };
+        let Some(colours) = scene.colour() else { return Ok(None) };
         let (first, last) = FlankProfile::reach(x[3]);
         let mut pixels = Vec::new();
         self.outward(x, flank, |position, normal| {
@@ -141,7 +141,7 @@ impl ContourTracker {
             .filter(|(out_px, _)| *out_px < 0 || *out_px > last - BEHIND_PX)
             .map(|(out_px, pixel)| SidedPixel { is_hand: *out_px < 0, ..*pixel })
             .collect();
-        discriminant.observe_all(frame, &sided, 1.0);
+        discriminant.observe_all(scene, &sided, 1.0);
         discriminant.learn();
         let Some(mixture) = discriminant
             .mixture()
@@ -153,7 +153,7 @@ impl ContourTracker {
         let mut flank_profile = FlankProfile::new(first, last);
         for (out_px, SidedPixel { x, y, .. }) in pixels {
             let (x, y) = (x as usize, y as usize);
-            if let (Some(colour), Some(grey)) = (colours.pixel(x, y), frame.image().pixel(x, y)) {
+            if let (Some(colour), Some(grey)) = (colours.pixel(x, y), scene.image().pixel(x, y)) {
                 flank_profile.add(out_px, grey, colour, &mixture);
             }
         }
@@ -190,13 +190,13 @@ impl ContourTracker {
     /// rejected or the finger does not widen.
     fn fit_shaded_flank(
         &mut self,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         settled: &RibbonVector,
         shaded: &ShadedFlank,
     ) -> Result<bool> {
         self.hand.shape = Shape::Ribbon(widened(settled, shaded));
         self.hand.shaded = Some(shaded.flank);
-        if !self.learn_about_outline(frame)? {
+        if !self.learn_about_outline(scene)? {
             return Ok(false);
         }
         let plan = SearchPlan::edges(self.options.acquire.reach_px(self.initial.ribbon[3]));
@@ -204,13 +204,13 @@ impl ContourTracker {
             let Shape::Ribbon(x) = self.hand.shape else { return Ok(false) };
             self.hand.acquired = x;
             let prior = self.tracked_prior::<5>(&x, SLACK);
-            let finger = self.run_ribbon::<5>(frame, &x, Limb::Finger, plan, Some(&prior))?;
+            let finger = self.run_ribbon::<5>(scene, &x, Limb::Finger, plan, Some(&prior))?;
             if !FitResult::from(finger).is_accepted(&self.options.acquire.accept) {
                 return Ok(false);
             }
             self.hand.shape = Shape::Ribbon(with_thumb_of(&x, &finger.shape));
             self.hand.appearance = None;
-            self.learn_appearance(frame, 1)?;
+            self.learn_appearance(scene, 1)?;
         }
         let least_px = settled[3] + WIDENS * shaded.beyond_px;
         Ok(shaded.beyond_px <= 0.0 || self.hand.shape.width() > least_px)
@@ -218,7 +218,7 @@ impl ContourTracker {
 
     /// Learns the pixels inside and outside of the finger's outline, whether it has edges or not.
     /// False if their colours are not separated.
-    fn learn_about_outline(&mut self, frame: &Scene<'_>) -> Result<bool> {
+    fn learn_about_outline(&mut self, scene: &Scene<'_>) -> Result<bool> {
         let mut outline = Vec::new();
         self.hand.outline(&self.hand.shape, &self.samples, |part, placed| {
             if part != Part::Thumb {
@@ -226,11 +226,11 @@ impl ContourTracker {
             }
         });
         let silhouette = self.hand.shape.silhouette();
-        let coloured = frame.colour().is_some();
+        let coloured = scene.colour().is_some();
         let mut appearance =
             AppearanceModel::new(coloured).with_flank_levels().with_shaded(self.hand.shaded);
         let is_separated =
-            self.convergence.teach_at(&mut appearance, frame, outline.into_iter(), &silhouette)?;
+            self.convergence.teach_at(&mut appearance, scene, outline.into_iter(), &silhouette)?;
         self.hand.appearance = Some(appearance);
         Ok(is_separated && self.hand.is_mixed())
     }

@@ -46,7 +46,7 @@ impl TemplateInitialiser<'_> {
     pub(super) fn thumb(
         &self,
         convergence: &mut Convergence,
-        frame: &Scene<'_>,
+        scene: &Scene<'_>,
         finger: &RibbonVector,
     ) -> Result<(FitResult<RibbonVector>, Polarity)> {
         let reach_px = (THUMB_REACH * self.measure.length_px).clamp(1.0, MAX_HALF_LENGTH_PX as f64);
@@ -54,14 +54,14 @@ impl TemplateInitialiser<'_> {
         for &polarity in self.hypotheses() {
             for from in self.thumbs(finger) {
                 let support =
-                    self.support::<RIBBON_DOF>(convergence, frame, &from, reach_px, polarity)?;
+                    self.support::<RIBBON_DOF>(convergence, scene, &from, reach_px, polarity)?;
                 tried.push((support, polarity, from));
             }
         }
         tried.sort_by_key(|(support, ..)| std::cmp::Reverse(*support));
         let mut best = (FitResult::unfitted(*finger), self.options.polarity);
         for (_, polarity, from) in tried.into_iter().take(THUMBS_FITTED) {
-            let fitted_finger = self.whole(convergence, frame, &from, reach_px, polarity)?;
+            let fitted_finger = self.whole(convergence, scene, &from, reach_px, polarity)?;
             if fitted_finger.support() > best.0.support() && self.is_plausible(&fitted_finger, true)
             {
                 best = (fitted_finger, polarity);

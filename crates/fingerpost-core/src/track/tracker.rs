@@ -274,8 +274,8 @@ impl ContourTracker {
         self.take(&Scene::new(frame, Some(background)), time_s)
     }
 
-    pub(super) fn take(&mut self, frame: &Scene<'_>, time_s: f64) -> Result<Track> {
-        check_size(frame)?;
+    pub(super) fn take(&mut self, scene: &Scene<'_>, time_s: f64) -> Result<Track> {
+        check_size(scene)?;
         let last = self.last_time_s.unwrap_or(f64::NEG_INFINITY);
         Error::finite("frame time [s]", time_s)?;
         Error::within("frame time [s]", time_s, "at or after the last frame's", |t| t >= last)?;
@@ -284,24 +284,24 @@ impl ContourTracker {
         self.whole.clear();
         let pyramid_level = self.pyramid_level;
         if !pyramid_level.is_smaller() {
-            return self.measure(frame, time_s);
+            return self.measure(scene, time_s);
         }
         // Moved out, since `measure` borrows it together with `self`.
         let mut picture = std::mem::take(&mut self.picture);
         let track = picture
-            .of(frame, pyramid_level)
-            .and_then(|reduced| self.measure(&frame.reduced(reduced, pyramid_level), time_s));
+            .of(scene, pyramid_level)
+            .and_then(|reduced| self.measure(&scene.reduced(reduced, pyramid_level), time_s));
         self.picture = picture;
         self.convergence.enlarge(pyramid_level);
         track.map(|track| pyramid_level.track(&track))
     }
 
-    pub(super) fn measure(&mut self, frame: &Scene<'_>, time_s: f64) -> Result<Track> {
-        self.relight(frame);
+    pub(super) fn measure(&mut self, scene: &Scene<'_>, time_s: f64) -> Result<Track> {
+        self.relight(scene);
         match self.phase {
-            Phase::Acquiring { settled } => self.acquire(frame, time_s, settled, None),
-            Phase::Lost { last, settled } => self.recover(frame, time_s, settled, last),
-            Phase::Tracking { missed } => self.follow(frame, time_s, missed),
+            Phase::Acquiring { settled } => self.acquire(scene, time_s, settled, None),
+            Phase::Lost { last, settled } => self.recover(scene, time_s, settled, last),
+            Phase::Tracking { missed } => self.follow(scene, time_s, missed),
         }
     }
 
