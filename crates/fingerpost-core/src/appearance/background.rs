@@ -161,6 +161,10 @@ const SHADOW_FOREGROUND: f32 = 0.6;
 /// Range over which the foreground probability rises from 0 to 1, in parts of
 /// [`BackgroundOptions::changed_sigmas`].
 const RAMP: (f32, f32) = (0.6, 1.4);
+/// Ratio of the variance of the light fit's residuals beyond the noise to the part of it that
+/// remains in the mean of a pixel: each frame has a light of its own, and their errors average over
+/// the frames. A tenth of the standard deviation is assumed to remain; this was not measured.
+const LIGHT_VARIANCE_DIVISOR: f64 = 100.0;
 
 impl Background {
     /// A background without observations.
@@ -406,7 +410,8 @@ impl Background {
     fn variance_of_mean(&self, i: usize) -> f64 {
         let rate = self.options.rate;
         let share = (1.0 / f64::from(self.grey.seen[i].max(1))).max(rate / (2.0 - rate));
-        share * self.noise_variance(i) + f64::from(self.light_sigma * self.light_sigma) / 100.0
+        share * self.noise_variance(i)
+            + f64::from(self.light_sigma * self.light_sigma) / LIGHT_VARIANCE_DIVISOR
     }
 
     fn noise_variance(&self, i: usize) -> f64 {

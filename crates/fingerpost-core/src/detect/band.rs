@@ -138,6 +138,19 @@ const LENGTHS: (f64, f64) = (4.6, 12.0);
 /// length that is then assumed.
 const SEEN_LENGTH: f64 = 3.0;
 const UNSEEN_LENGTH: f64 = 7.0;
+/// Length of the flanks along which their strength and their surroundings are measured
+/// \[half-widths\].
+const FLANK_HALF_WIDTHS: f64 = 2.6;
+/// Distance from the axis, or from the centre of the round end, at which the surroundings begin, and
+/// spacing of the places there \[half-widths\]: the blur of the outline lies in between.
+const SURROUNDINGS_FROM: f64 = 1.35;
+const SURROUNDINGS_SPACING: f64 = 0.16;
+/// Likeness of a band without contrast to its surroundings, and its increase with the least and
+/// with the mean contrast of the three sides. The least weighs more: an edge or a stripe has
+/// contrast on some sides, a finger on all.
+const LIKENESS_WITHOUT_CONTRAST: f64 = 0.3;
+const LEAST_CONTRAST_WEIGHT: f64 = 0.4;
+const MEAN_CONTRAST_WEIGHT: f64 = 0.3;
 /// Loss of score of a candidate without a hand behind it, and the part of the places there that
 /// must be like the finger for no loss.
 const HAND_WEIGHT: f64 = 0.3;
@@ -318,7 +331,7 @@ pub(super) fn refine_candidate(
     let w = band.half_width_px;
     let middle = band.tip - direction(band.angle_rad) * w;
     // First the flanks, at the angle of their greatest strength; then the end between them.
-    let back = |k: usize| -w * (0.8 + 2.6 * k as f64 / (ALONG - 1) as f64);
+    let back = |k: usize| -w * (0.8 + FLANK_HALF_WIDTHS * k as f64 / (ALONG - 1) as f64);
     let mut best: Option<(f64, f64, BandFrame<'_>, [f64; 2])> = None;
     for turn_rad in TURNS_RAD {
         let angle_rad = band.angle_rad + turn_rad;
@@ -389,8 +402,10 @@ pub(super) fn half_lit_stands_out(
 /// Places beside a band's flank.
 pub(super) fn beside(w: f64, side: f64) -> impl Iterator<Item = (f64, f64)> {
     (0..12).flat_map(move |i| {
-        let along = -w * (1.0 + 2.6 * f64::from(i) / 11.0);
-        (0..4).map(move |j| (along, side * w * (1.35 + 0.16 * f64::from(j))))
+        let along = -w * (1.0 + FLANK_HALF_WIDTHS * f64::from(i) / 11.0);
+        (0..4).map(move |j| {
+            (along, side * w * (SURROUNDINGS_FROM + SURROUNDINGS_SPACING * f64::from(j)))
+        })
     })
 }
 
@@ -399,7 +414,7 @@ pub(super) fn ahead(w: f64) -> impl Iterator<Item = (f64, f64)> {
     (0..9).flat_map(move |i| {
         let (sin, cos) = (1.05 * (f64::from(i) / 4.0 - 1.0)).sin_cos();
         (0..4).map(move |j| {
-            let r = w * (1.35 + 0.16 * f64::from(j));
+            let r = w * (SURROUNDINGS_FROM + SURROUNDINGS_SPACING * f64::from(j));
             (r * cos - w, r * sin)
         })
     })
@@ -417,7 +432,7 @@ pub(super) fn finger_before_hand(
     let mean = unlike.iter().sum::<f64>() / 3.0;
     let behind = 1.0 - inside.unlike_part(band_frame, hand_places(w)).unwrap_or(1.0);
     let hand = 1.0 - HAND_WEIGHT * (1.0 - behind / HAND_PART).max(0.0);
-    (0.3 + 0.4 * least + 0.3 * mean) * hand
+    (LIKENESS_WITHOUT_CONTRAST + LEAST_CONTRAST_WEIGHT * least + MEAN_CONTRAST_WEIGHT * mean) * hand
 }
 
 /// Places of the hand behind its finger.

@@ -4,6 +4,7 @@
 use super::appearance::EdgeCue;
 use super::axis_curvature::AxisCurvature;
 use super::fit_result::{FitResult, Refusal};
+use super::fit_stages::ACQUISITION_SLACK;
 use super::foreground_test::ForegroundTest;
 use super::hand::{LastKnown, MOST_COVERED_FRAMES};
 use super::hypotheses::Selection;
@@ -32,8 +33,6 @@ use nalgebra::Vector2;
 
 /// Iterations of learning the settled hand's colours and refitting it by them.
 const COLOUR_REFIT_ROUNDS: usize = 3;
-/// Prior standard deviation of its dimensions in these fits, relative to tracking.
-const COLOUR_REFIT_SLACK: f64 = 4.0;
 /// Largest rotation of the settled hand by the fit with its appearance model \[rad\]: the line must
 /// not depend on the search model.
 const MOST_TURNED_RAD: f64 = 0.2;
@@ -281,7 +280,7 @@ impl ContourTracker {
                 SearchPlan { edge_cue: EdgeCue::AnyEdge, ..SearchPlan::edges(half_length_px) };
             let turned = self.run_ribbon::<3>(scene, &x, Limb::Finger, plan, None)?;
             self.hand.acquired = x;
-            let prior = self.tracked_prior::<5>(&x, COLOUR_REFIT_SLACK);
+            let prior = self.tracked_prior::<5>(&x, ACQUISITION_SLACK);
             let finger =
                 self.run_ribbon::<5>(scene, &turned.shape, Limb::Finger, plan, Some(&prior))?;
             let found = FitResult::from(finger);

@@ -26,6 +26,10 @@ const TRACKED_TAPER_SIGMA: f64 = 0.03;
 /// Prior standard deviation of the thumb's root and spine, as a fraction of the finger's length:
 /// the thumb may move, and foreshortening moves its root.
 const TRACKED_THUMB_SIGMA: f64 = 0.1;
+/// Factor by which the prior on the dimensions of a hand being acquired is wider than in tracking:
+/// the fit that they come from was made without its appearance model, at another length or before
+/// its shaded flank was found.
+pub(super) const ACQUISITION_SLACK: f64 = 4.0;
 /// Largest ratio of a thumb's length or half-width to the acquired one, or its inverse.
 const THUMB_CHANGE: f64 = 1.7;
 /// Least explained fraction of a thumb.

@@ -12,6 +12,7 @@
 use super::acquire::with_thumb_of;
 use super::appearance::EdgeCue;
 use super::fit_result::FitResult;
+use super::fit_stages::ACQUISITION_SLACK;
 use super::options::MIN_HALF_LENGTH_PX;
 use super::scene::Scene;
 use super::shape::Shape;
@@ -53,8 +54,6 @@ const ALONG_PX: f64 = 1.0;
 const ALONG_SCATTER: f64 = 3.0;
 /// Search distance for the edges of a template of another length \[half-widths\].
 const NEAR: f64 = 0.5;
-/// Factor by which the prior of its width and taper is wider than in tracking.
-const SLACK: f64 = 4.0;
 
 impl ContourTracker {
     /// Shortens the settled template to its finger; tip and thumb keep their places. False if the
@@ -168,7 +167,7 @@ impl ContourTracker {
     ) -> Result<FitResult> {
         let from = with_length(x, &self.hand.measure, &measure);
         (self.hand.measure, self.hand.acquired) = (measure, from);
-        let prior = self.tracked_prior::<5>(&from, SLACK);
+        let prior = self.tracked_prior::<5>(&from, ACQUISITION_SLACK);
         let plan = SearchPlan::edges(near_px(x, MIN_HALF_LENGTH_PX));
         let finger = self.run_ribbon::<5>(scene, &from, Limb::Finger, plan, Some(&prior))?;
         self.hand.shape = Shape::Ribbon(with_thumb_of(&from, &finger.shape));

@@ -45,12 +45,12 @@ pub struct AcquireOptions {
 
 /// Largest half-width of an initial template for which lengths in pixels apply unscaled \[px\]; for
 /// a larger one they grow in proportion.
-const LARGEST_HALF_WIDTH_PX: f64 = 10.0;
+const UNSCALED_INITIAL_HALF_WIDTH_PX: f64 = 10.0;
 
 impl AcquireOptions {
     /// Half-length of the edge search for an initial template of this half-width \[px\].
     pub(super) fn reach_px(&self, half_width_px: f64) -> f64 {
-        let large = (half_width_px / LARGEST_HALF_WIDTH_PX).max(1.0);
+        let large = (half_width_px / UNSCALED_INITIAL_HALF_WIDTH_PX).max(1.0);
         (large * self.half_length_px).min(MAX_HALF_LENGTH_PX as f64)
     }
 }

@@ -24,7 +24,7 @@ use nalgebra::{Matrix2, Point2, SVector, Vector2};
 /// at full resolution took the shading along a flank for its edge: before wood their points were up
 /// to three times as far off as in an image of half the size. In images of a smaller size still, a
 /// hand was lost to the jaw of a gripper.
-const USUAL_HALF_WIDTH_PX: f64 = 6.0;
+const MIN_REDUCED_HALF_WIDTH_PX: f64 = 6.0;
 
 /// Reduction of the tracked image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,7 +38,7 @@ impl PyramidLevel {
 
     /// The level for a finger of this half-width in the frame.
     pub fn of_finger(half_width_px: f64) -> Self {
-        let factor = (half_width_px / USUAL_HALF_WIDTH_PX).floor();
+        let factor = (half_width_px / MIN_REDUCED_HALF_WIDTH_PX).floor();
         Self { factor: factor.max(1.0).min(f64::from(u8::MAX)) as usize }
     }
 

@@ -13,6 +13,7 @@
 use super::acquire::with_thumb_of;
 use super::appearance::AppearanceModel;
 use super::fit_result::FitResult;
+use super::fit_stages::ACQUISITION_SLACK;
 use super::options::Model;
 use super::scene::Scene;
 use super::shape::Shape;
@@ -63,10 +64,8 @@ const FLANK_PX: i32 = 4;
 /// Colours of a fully lit finger bleed up to 5 px or 0.7 half-widths into black.
 const GOES_ON_PX: f64 = 4.0;
 const GOES_ON: f64 = 0.8;
-/// Number of fits up to the shaded flank, each with the appearance learned from the last one; and
-/// the factor by which the prior of its dimensions is wider than in tracking.
+/// Number of fits up to the shaded flank, each with the appearance learned from the last one.
 const ROUNDS: usize = 2;
-const SLACK: f64 = 4.0;
 /// Least increase of the half-width by the fit, as a part of the extension of the finger.
 const WIDENS: f64 = 0.25;
 
@@ -203,7 +202,7 @@ impl ContourTracker {
         for _ in 0..ROUNDS {
             let Shape::Ribbon(x) = self.hand.shape else { return Ok(false) };
             self.hand.acquired = x;
-            let prior = self.tracked_prior::<5>(&x, SLACK);
+            let prior = self.tracked_prior::<5>(&x, ACQUISITION_SLACK);
             let finger = self.run_ribbon::<5>(scene, &x, Limb::Finger, plan, Some(&prior))?;
             if !FitResult::from(finger).is_accepted(&self.options.acquire.accept) {
                 return Ok(false);

@@ -93,7 +93,7 @@ pub(super) enum Phase {
 pub(super) const INNOVATION_GATE_PROBABILITY: f64 = 0.9999;
 /// Largest half-width of a tracked finger for which lengths and speeds in pixels apply unscaled
 /// \[px\]; for a larger finger they grow in proportion.
-pub(super) const FOLLOWED_HALF_WIDTH_PX: f64 = 13.0;
+pub(super) const UNSCALED_TRACKED_HALF_WIDTH_PX: f64 = 13.0;
 /// Search range of a hand that is lost, or was until the last frame, relative to that of a tracked
 /// hand.
 pub(super) const LOST_REACH: f64 = 2.0;
@@ -359,7 +359,7 @@ impl ContourTracker {
     /// Size of this hand relative to the largest usual one, at least 1; its motion in pixels scales
     /// with it.
     pub(super) fn largeness(&self) -> f64 {
-        (self.hand.acquired[3] / FOLLOWED_HALF_WIDTH_PX).max(1.0)
+        (self.hand.acquired[3] / UNSCALED_TRACKED_HALF_WIDTH_PX).max(1.0)
     }
 
     /// Half-length of the edge search near the hand \[px\], at most that of the longest search
