@@ -20,11 +20,11 @@ use nalgebra::{Matrix2, SMatrix, SVector};
 
 /// Unknowns: d, ϑ, w₀, w₁.
 const UNKNOWNS: usize = 4;
-/// Prior standard deviations of the sketch: offset and half-width \[px\], turn measured at the ends
-/// \[px\], taper.
-const SKETCH_SIGMA_PX: f64 = 3.0;
-const SKETCH_END_SIGMA_PX: f64 = 6.0;
-const SKETCH_TAPER_SIGMA: f64 = 0.1;
+/// Damping of the steps of a finger without a prior, as standard deviations of one step: offset and
+/// half-width \[px\], turn measured at the ends \[px\], taper.
+const STEP_SIGMA_PX: f64 = 3.0;
+const STEP_END_SIGMA_PX: f64 = 6.0;
+const STEP_TAPER_SIGMA: f64 = 0.1;
 /// Nominal image noise of the edge search \[grey levels\]; variances are scaled to the measured
 /// noise.
 const UNIT_NOISE_GREY: f64 = 1.0;
@@ -190,7 +190,8 @@ impl Bisector {
         Ok(())
     }
 
-    /// The step from `at` by the edge measurements and the prior of the sketch.
+    /// The step from `at` by the edge measurements and the finger's prior about the sketch. Without
+    /// a prior, a term about `at` damps the step instead, and does not pull the line to the sketch.
     fn solve(&mut self, at: &Sketch, sketch: &Sketch) -> Result<Option<Solution>> {
         let mut equations = self.equations.clear::<UNKNOWNS>();
         for (stations, side) in self.flanks.iter().zip(SIDES) {
@@ -201,9 +202,9 @@ impl Bisector {
         let width_prior = at.prior.unwrap_or(WidthPrior {
             half_width_px: at.half_width_px,
             taper: at.taper,
-            half_width_sigma_px: SKETCH_SIGMA_PX,
-            taper_sigma: SKETCH_TAPER_SIGMA,
-            axis_sigmas: [SKETCH_SIGMA_PX, SKETCH_END_SIGMA_PX / at.half_length_px],
+            half_width_sigma_px: STEP_SIGMA_PX,
+            taper_sigma: STEP_TAPER_SIGMA,
+            axis_sigmas: [STEP_SIGMA_PX, STEP_END_SIGMA_PX / at.half_length_px],
         });
         let [offset_sigma_px, slope_sigma] = width_prior.axis_sigmas;
         let sigma = [

@@ -1,4 +1,4 @@
-//! The prior estimate of the finger, in a frame of its own.
+//! The initial estimate of the finger, in a frame of its own.
 //!
 //! p runs along the finger from the middle of the stretch in use, q to its right, both in px.
 

@@ -84,13 +84,14 @@ const HALF_RELIABLE_CONTRAST_RATIO: f64 = 14.0;
 const OFF_BY: f64 = 2.0;
 const LEAST_TURN_RAD: f64 = 0.0035;
 const MIN_RELIABLE_PART: f64 = 0.4;
-/// Standard deviation of the bias at either end of a line, as a part of the bend. As an angle it is
-/// the spread of lines through segments whose middles scatter by 0.18 half-lengths. On 38 films of
+/// Standard deviation of the bias of a line at its anchor, as a part of the bend; at either end it
+/// is twice as large ([`FingerLine::with_relative_bias`]). As an angle, √3 times this over the
+/// half-length, it is the spread of lines through segments whose middles scatter by 0.18 half-lengths. On 38 films of
 /// rendered hands the 95 % ellipses then hold 91 % of the points by the exact medial lines; 87 % if
 /// the filter over frames may average the bias away.
 const BEND_BIAS: f64 = 0.32;
-/// Standard deviation of the bias at either end of a line due to a flank of low contrast, as a part
-/// of the half-length. Background and shade displace such an edge along its whole length, so the
+/// Standard deviation of the bias of a line at its anchor due to a flank of low contrast, as a part
+/// of the half-length; at either end it is twice as large. Background and shade displace such an edge along its whole length, so the
 /// line is biased without appearing bent. On 38 films of rendered hands, lines were turned by 0.7
 /// to 0.8° more than noise and bend allow where the contrast of the fainter flank is less than
 /// [`FAINT`] times the scatter of its pixels beyond the image's noise, and by no more where it is
@@ -258,7 +259,7 @@ impl AxisCurvature {
         [segment.near_half_widths * half_width_px, far_px]
     }
 
-    /// Standard deviation of the bias at either end of a line due to the bend, in parts of the
+    /// Standard deviation of the bias of a line at its anchor due to the bend, in parts of the
     /// half-length; 0 for a bend within the noise.
     pub fn bend_bias(&self) -> f64 {
         if is_off(Mechanism::BendBias) {

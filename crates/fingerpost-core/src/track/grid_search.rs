@@ -3,16 +3,18 @@
 //!
 //! A search along normals leads the contour to the hand if most of its lines cross the hand's edge
 //! and few others. A hand that rotated between two frames may be out of its range, however long the
-//! lines are, but its pixels still have high log-likelihood ratios. The poses of the grid, spaced
-//! by [`SPACING`] half-widths, are scored by the log-likelihood ratios on either side of the
-//! contour. This is too coarse to fit the contour and fine enough to initialise the fit.
+//! lines are, but its pixels still have high log-likelihood ratios. The poses of the grid are
+//! scored by the log-likelihood ratios on either side of the contour. They are at most [`SPACING`]
+//! half-widths apart, or 1 / [`MOST_STEPS`] of the range if that is more, which bounds the run time.
+//! This is too coarse to fit the contour and fine enough to initialise the fit.
 
 use crate::appearance::histogram::HistogramModel;
 use crate::geometry::shape_space::PlacedSample;
 use crate::image::frame::Frame;
 use nalgebra::{Point2, Vector2};
 
-/// Spacing of the grid, as a fraction of the finger's half-width.
+/// Largest spacing of the grid, as a fraction of the finger's half-width, that being at least
+/// [`CLEARANCE_PX`]; exceeded where [`MOST_STEPS`] is reached.
 const SPACING: f64 = 0.6;
 /// Largest number of steps from the middle of the grid to its border.
 const MOST_STEPS: f64 = 12.0;

@@ -94,9 +94,11 @@ impl FingerLine {
         Self { covariance: self.covariance + difference * difference.transpose(), ..self }
     }
 
-    /// The same line with an unknown bias that is a part of the half-length h, as by a bend: adds
-    /// (part · h)² to the variance of the offset and 3 part² to that of the angle. A bias is
-    /// systematic: averaging over frames does not reduce it.
+    /// The same line with an unknown bias in proportion to the half-length h, as by a bend: adds
+    /// (part · h)² to the variance of the offset and 3 part² to that of the angle. Offset and angle
+    /// then contribute equally to the mean square of the bias over ± h; its standard deviation is
+    /// part · h at the anchor and 2 part · h at either end. A bias is systematic: averaging over
+    /// frames does not reduce it.
     pub(super) fn with_relative_bias(self, part: f64) -> Self {
         let added = Vector2::new(part * self.half_length_px, part * 3.0_f64.sqrt());
         let added = Matrix2::from_diagonal(&added.map(|s| s * s));
@@ -238,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bias_at_the_ends_adds_variance_to_offset_and_angle() {
+    fn a_relative_bias_adds_variance_to_offset_and_angle() {
         let [axis, _] = axes();
         let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
         let line = FingerLine::of_contour(&axis, &covariance);

@@ -43,8 +43,9 @@ const SHARP_PX: f64 = 1.5;
 const FRAMES_A_LESSON: usize = 3;
 const RELEARN_MIN_MOTION_HALF_WIDTHS: f64 = 0.5;
 
-/// Bias of a contour with a shaded flank, at either end \[px\]: the shaded flank is measured from
-/// colours alone, which a camera records at half the resolution, and the lit one from grey levels.
+/// Standard deviation of the bias of the line of a contour with a shaded flank, at its anchor
+/// \[px\]; at either end it is twice as large. The shaded flank is measured from colours alone, which
+/// a camera records at half the resolution, and the lit one from grey levels.
 const SHADED_PX: f64 = 0.6;
 
 /// Part of a finger's flanks that is used.

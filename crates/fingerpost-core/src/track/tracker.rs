@@ -68,7 +68,7 @@ pub struct ContourTracker {
     /// Whether the initial template may be longer than the finger, so that acquisition measures the
     /// length.
     pub(super) takes_length: bool,
-    /// Exposure at which the appearance model was learned.
+    /// Exposure of the reference frame, to which that of every frame is compared.
     pub(super) exposure: Exposure,
     /// Reduction factor from the frames to the images in which the hand is tracked, the present
     /// reduced image, and the full frame as the hand's discriminant shows it.
