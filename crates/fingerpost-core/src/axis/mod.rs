@@ -240,10 +240,6 @@ pub struct PhotometricReport {
     /// Contrast at either flank, finger minus background, 2 px inside the edge, where even a finger
     /// with a dark limb has contrast \[grey levels\].
     pub contrast_grey: [f64; 2],
-    /// Standard deviation of the inside level along either flank \[grey levels\].
-    pub inside_grey: [f64; 2],
-    /// Standard deviation of the background's level along either flank \[grey levels\].
-    pub outside_grey: [f64; 2],
     /// Standard deviation of the edge of either flank about its smooth line \[px\].
     pub edge_px: [f64; 2],
     /// Iterations until convergence, at most the number allowed.

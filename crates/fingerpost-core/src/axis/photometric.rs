@@ -31,7 +31,7 @@ mod flank;
 mod lanes;
 
 use super::Stretch;
-use super::block::{EDGE_EFFECT, Evidence, INSIDE_EFFECT, OUTSIDE_EFFECT};
+use super::block::{EDGE_EFFECT, Evidence};
 use super::blur::BlurTable;
 use super::gram::Weighing;
 use super::photometric::flank::PhotometricFlank;
@@ -341,7 +341,6 @@ impl Photometric {
         let Ending { residual_grey, bend_sigma_px, iterations, converged } = *ending;
         let pixels = self.pixels();
         let blocks: usize = self.flanks.iter().map(|f| f.strip.blocks.len()).sum();
-        let sigma = |effect: usize| [0, 1].map(|f| self.flanks[f].variances[effect].sqrt());
         PhotometricReport {
             pixels,
             rejected: tally.rejected / tally.pixels,
@@ -350,9 +349,7 @@ impl Photometric {
             residual_grey,
             contrast_grey: [0, 1]
                 .map(|f| self.flanks[f].strip.contrast_grey(x.shaded_contrast_grey(sketch, f))),
-            inside_grey: sigma(INSIDE_EFFECT),
-            outside_grey: sigma(OUTSIDE_EFFECT),
-            edge_px: sigma(EDGE_EFFECT),
+            edge_px: [0, 1].map(|f| self.flanks[f].variances[EDGE_EFFECT].sqrt()),
             blur_px: x.blur_px(),
             half_length_px: sketch.half_length_px,
             bend_px: x.0[BEND],

@@ -20,8 +20,6 @@ fn refined(bend_px: f64, bend_sigma_px: f64, source: Source) -> Refined {
         bend_px,
         bend_sigma_px,
         contrast_grey: [1e9; 2],
-        inside_grey: [0.0; 2],
-        outside_grey: [0.0; 2],
         edge_px: [0.0; 2],
         iterations: 5,
         converged: true,
