@@ -92,6 +92,11 @@ const COARSE: f64 = 2.5;
 const WIDE: usize = 2 * NARROW;
 const NARROW: usize = BASELINE_LANES;
 
+/// Reach of the widest of some kernels \[px\].
+fn widest(kernels: &[Kernel]) -> usize {
+    kernels.iter().map(Kernel::reach).max().unwrap_or(0)
+}
+
 /// The kernels and the reused buffers of a search: searching allocates nothing.
 #[derive(Debug, Clone)]
 pub struct EdgeSearch {
@@ -119,7 +124,7 @@ impl EdgeSearch {
             (0.0..=255.0).contains(&c)
         })?;
         let kernels = [1.0, COARSE].map(|factor| Kernel::new(factor * scale_px, &options));
-        let reach = kernels.iter().map(Kernel::reach).max().unwrap_or(0);
+        let reach = widest(&kernels);
         let samples = 2 * (MAX_HALF_LENGTH_PX + reach) + 1;
         Ok(Self {
             kernels,
@@ -143,6 +148,11 @@ impl EdgeSearch {
     #[must_use]
     pub fn options(&self) -> &SearchOptions {
         &self.options
+    }
+
+    /// Distance beyond the end of a line that its search reads at any scale \[px\].
+    pub(crate) fn reach_px(&self) -> f64 {
+        widest(&self.kernels) as f64
     }
 
     /// Searches every line for `cue`; `measurements` is refilled, one entry a line, in the same

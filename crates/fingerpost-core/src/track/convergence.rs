@@ -4,7 +4,7 @@ use super::appearance::{AppearanceModel, Contour, EdgeCue, SearchModel};
 use super::design_effect::design_effect;
 use super::estimate::{MAX_DOF, ShapeEstimate};
 use super::fit_result::FitResult;
-use super::normals::{KERNEL_REACH_PX, Normals, SearchedLine, at_edge};
+use super::normals::{Normals, SURROUNDINGS_PX, SearchedLine, at_edge};
 use super::options::{MIN_HALF_LENGTH_PX, TrackerOptions};
 use super::pyramid::PyramidLevel;
 use super::scene::Scene;
@@ -261,7 +261,7 @@ impl Convergence {
         else {
             return Ok(());
         };
-        let edges = self.agreeing.iter().map(|edge| (edge.position, KERNEL_REACH_PX));
+        let edges = self.agreeing.iter().map(|edge| (edge.position, SURROUNDINGS_PX));
         let search_frame = self.image.shown(scene, search_model.mixture, || region_about(edges))?;
         self.matches.clear();
         self.matches.extend(
@@ -568,7 +568,7 @@ fn linearise<'a, S: ShapeSpace<D>, const D: usize>(
 
 /// Image region in which a finger is refined.
 pub(super) fn finger_region(finger: &Finger) -> [f64; 4] {
-    let (axis, reach) = (finger.axis, 2.0 * finger.half_width_px + KERNEL_REACH_PX);
+    let (axis, reach) = (finger.axis, 2.0 * finger.half_width_px + SURROUNDINGS_PX);
     let from = finger.flanks[0].from_px.min(finger.flanks[1].from_px);
     let ends = [axis.tip, axis.anchor + axis.direction() * from];
     region_about(ends.iter().map(|end| (*end, reach)))

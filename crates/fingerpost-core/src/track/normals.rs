@@ -14,8 +14,10 @@ use crate::measure::edge::{Edge, EdgeMeasurement, Miss, Scale, SearchLine};
 use crate::measure::edge_search::{Cue, EdgeSearch};
 use crate::numeric::simd::Isa;
 
-/// Distance that a search line reads beyond its end \[px\]: the reach of the widest kernel.
-pub(super) const KERNEL_REACH_PX: f64 = 32.0;
+/// Least distance from an edge, and from the end of a search line, within which the image in a
+/// search model's mixture is computed \[px\]: appearance is sampled up to 8 px from an edge, and a
+/// finger is refined by edges up to 12 px from its flanks.
+pub(super) const SURROUNDINGS_PX: f64 = 32.0;
 /// Least ratio of contrasts with which an edge of the grey image replaces one of a mixture of
 /// colours further inside.
 const PLAINER: f64 = 2.0;
@@ -110,9 +112,12 @@ impl Normals {
         }
     }
 
-    /// The region that the lines read: first and last column, first and last row \[px\].
+    /// The region that the search of the lines reads: first and last column, first and last row
+    /// \[px\].
     pub fn region(&self) -> [f64; 4] {
-        let reach = |line: &SearchLine| line.half_length_px + KERNEL_REACH_PX;
+        // The second search extends beyond the end of a line that leaves the foreground there.
+        let beyond_px = SURROUNDINGS_PX.max(BEGINS_WITHIN_PX + self.search.reach_px());
+        let reach = |line: &SearchLine| line.half_length_px + beyond_px;
         region_about(self.lines.iter().map(|line| (line.sample.position, reach(line))))
     }
 
@@ -327,4 +332,51 @@ pub struct SearchedLine<'a> {
     /// Whether the edge agrees with the fit, that is, counts among
     /// [`Diagnostics::inliers`](super::Diagnostics::inliers).
     pub agrees: bool,
+}
+
+// The region is private to the crate; what the search reads shows in its measurements.
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "a test may panic")]
+mod tests {
+    use super::*;
+    use crate::image::gray::GrayView;
+    use crate::measure::edge::Polarity;
+    use crate::measure::edge_search::SearchOptions;
+    use nalgebra::{Point2, Vector2};
+
+    const SIZE: [usize; 2] = [400, 200];
+
+    #[test]
+    fn the_search_reads_no_pixel_outside_of_its_region() {
+        for (scale_px, scale) in [0.5, 1.6, 4.0, 8.0]
+            .into_iter()
+            .flat_map(|px| [Scale::Fine, Scale::Coarse].map(|scale| (px, scale)))
+        {
+            let search = SearchOptions { scale_px, ..SearchOptions::default() };
+            let mut normals =
+                Normals::new(&TrackerOptions { search, ..TrackerOptions::default() }).unwrap();
+            let sample = PlacedSample { position: Point2::new(200.0, 100.0), normal: Vector2::x() };
+            let line = SearchLine { sample, half_length_px: 20.0, polarity: Polarity::Unknown };
+            normals.push(Part::Tip, line);
+            let [left, right, ..] = normals.region();
+            let mut found = |level: &dyn Fn(f64) -> u8| {
+                let columns: Vec<u8> = (0..SIZE[0]).map(|u| level(u as f64)).collect();
+                let pixels = columns.repeat(SIZE[1]);
+                let image = GrayView::new(&pixels, SIZE[0], SIZE[1], SIZE[0]).unwrap();
+                let frame = Frame::gray(image);
+                let search_model = SearchModel::unknown(Polarity::Unknown);
+                let scene = Scene::new(&frame, None);
+                normals.search(&scene, &frame, &search_model, scale, false).unwrap();
+                normals.found()[0]
+            };
+            let step = |u: f64| if u < 203.0 { 150 } else { 50 };
+            let known = found(&step);
+            assert!(known.is_ok());
+            for stale in [0, 255] {
+                let is_inside = |u: f64| (left.floor()..=right.ceil()).contains(&u);
+                let shown = found(&|u| if is_inside(u) { step(u) } else { stale });
+                assert_eq!(shown, known, "{scale_px} px {scale:?}");
+            }
+        }
+    }
 }
