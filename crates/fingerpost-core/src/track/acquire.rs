@@ -54,8 +54,8 @@ impl ContourTracker {
         settled: usize,
         last: LastKnown,
     ) -> Result<Track> {
-        let LastKnown { shape, kind, measure } = last;
-        let kind_before = std::mem::replace(&mut self.hand.kind, kind);
+        let LastKnown { shape, model, measure } = last;
+        let model_before = std::mem::replace(&mut self.hand.model, model);
         self.hand.measure = measure;
         let reach_px = LOST_REACH * self.largeness() * self.options.track.half_length_px;
         let accept = self.options.acquire.accept;
@@ -74,7 +74,7 @@ impl ContourTracker {
                 return Ok(track.bent(bend.as_ref()));
             }
         }
-        self.hand.kind = kind_before;
+        self.hand.model = model_before;
         self.hand.measure = self.initial.measure;
         self.acquire(scene, time_s, settled, Some(last))
     }
@@ -107,7 +107,7 @@ impl ContourTracker {
             self.hand.shape = found.shape;
         } else {
             self.hand.shape = self.initial.shape(&self.template);
-            self.hand.kind = self.initial.kind(&self.options);
+            self.hand.model = self.initial.model(&self.options);
         }
         self.hand.measure = self.initial.measure;
         let mut misfit_bend = None;
@@ -193,11 +193,11 @@ impl ContourTracker {
                 return self.affine(scene, self.initial.map, half_length_px);
             }
             Shape::Ribbon(x) if settled > 0 => {
-                initialise.refit(&mut self.convergence, scene, &x, self.hand.kind)?
+                initialise.refit(&mut self.convergence, scene, &x, self.hand.model)?
             }
             _ => initialise.find(&mut self.convergence, scene)?,
         };
-        self.hand.kind = initialised.kind;
+        self.hand.model = initialised.model;
         Ok(initialised.hand.into())
     }
 
@@ -226,9 +226,9 @@ impl ContourTracker {
                 let length_px = self.hand.measure.length_px;
                 // A thumb nearly parallel to the finger makes no pistol template; the finger is
                 // then used alone.
-                let with_thumb = self.hand.kind.has_thumb;
+                let with_thumb = self.hand.model.has_thumb;
                 let pistol = self.template.fitted(&x, length_px, with_thumb);
-                self.hand.kind.has_thumb = with_thumb && pistol.is_ok();
+                self.hand.model.has_thumb = with_thumb && pistol.is_ok();
                 let Ok(template) = pistol.or_else(|_| self.template.fitted(&x, length_px, false))
                 else {
                     return Ok(None);

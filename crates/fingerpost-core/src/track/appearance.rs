@@ -23,7 +23,7 @@ const STRETCH: usize = 3;
 /// Threshold of the mean log-likelihood ratio ahead of the tip, as a part of the finger's, above
 /// which the finger is a band of a pattern that goes on; without colours it is 0. A finger with its
 /// shadow ahead of it, before a brown table, was taken for a band at 0.27.
-const GOES_ON: f64 = 0.3;
+const MAX_RATIO_AHEAD: f64 = 0.3;
 /// Distances from an edge of the mean colours compared where the hand ends without one, outside and
 /// inside \[px\]. If they differ by at least the value below, in the norm over all channels, the
 /// background there is unknown to the model \[grey levels\].
@@ -330,7 +330,7 @@ impl AppearanceModel {
             // Running mean.
             inside += (mean_ratio - inside) / steps as f64;
         }
-        let limit = if self.is_coloured() { GOES_ON * inside } else { 0.0 };
+        let limit = if self.is_coloured() { MAX_RATIO_AHEAD * inside } else { 0.0 };
         let ahead = shaft.steps(2.0 * EDGE_PX, AHEAD * half_width_px);
         ahead.map(|ahead_px| log_ratio(ahead_px) - limit).sum::<f64>() <= 0.0
     }

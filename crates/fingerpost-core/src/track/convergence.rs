@@ -9,7 +9,7 @@ use super::options::{MIN_HALF_LENGTH_PX, TrackerOptions};
 use super::pyramid::PyramidLevel;
 use super::scene::Scene;
 use super::silhouette::{Shaft, Silhouette};
-use super::stage::{EdgeCounts, Fit, FitStage, SUPPORT_PX, SURE, StageEnd, Support};
+use super::stage::{EdgeCounts, Fit, FitStage, SUPPORT_PX, SURE, StagePurpose, Support};
 use crate::Result;
 use crate::appearance::discriminant::{DiscriminantImage, Mixture, region_about};
 use crate::axis::Finger;
@@ -123,7 +123,7 @@ impl Convergence {
     /// agree with the fit, each moved to its edge, and those without an edge; see
     /// [`AppearanceModel::learn`]. The finger's samples are the first `samples` of all. The thumb
     /// is excluded: it may be lit differently, and the finger determines the line.
-    pub fn teach(
+    pub fn learn_from_fit(
         &mut self,
         appearance: &mut AppearanceModel,
         samples: usize,
@@ -142,7 +142,7 @@ impl Convergence {
     }
 
     /// The same by the samples without an edge only, for a hand that an object may cover elsewhere.
-    pub fn teach_unseen(
+    pub fn learn_unseen(
         &mut self,
         appearance: &mut AppearanceModel,
         samples: usize,
@@ -172,7 +172,7 @@ impl Convergence {
     /// Relearns an appearance model from a contour as placed, whatever edges are there. Returns
     /// false, and leaves the model unchanged, if the inside of the contour does not differ from the
     /// outside.
-    pub fn teach_at(
+    pub fn learn_at(
         &mut self,
         appearance: &mut AppearanceModel,
         scene: &Scene<'_>,
@@ -348,7 +348,7 @@ impl Convergence {
             let moved_px = equations.largest_motion(&fit.step);
             at.shape += fit.step;
             last = Some(fit);
-            if moved_px < plan.rest.px() {
+            if moved_px < plan.purpose.tolerance_px() {
                 at.edges_within_px = self.edges_within_px(moved_px);
                 break;
             }
@@ -360,7 +360,7 @@ impl Convergence {
                 half_length_px = shrunk_px.min(remaining_px).max(MIN_HALF_LENGTH_PX);
             }
         }
-        if plan.rest != StageEnd::TakenOver {
+        if plan.purpose != StagePurpose::TakenOver {
             self.mark_agreeing();
             at.fit = last.map(|fit| self.summarise(space, &at.shape, &fit, stage));
         }

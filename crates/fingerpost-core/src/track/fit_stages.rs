@@ -5,7 +5,7 @@ use super::fit_result::FitResult;
 use super::limbs::finger_samples;
 use super::scene::Scene;
 use super::shape::Shape;
-use super::stage::{Fit, SearchPlan, StageEnd, Window};
+use super::stage::{Fit, SearchPlan, StagePurpose, Window};
 use super::tracker::{ContourTracker, PINNED_SIGMA};
 use crate::Result;
 use crate::axis::WidthPrior;
@@ -60,7 +60,7 @@ impl ContourTracker {
             }
             None => plan,
         };
-        let placement_plan = SearchPlan { rest: StageEnd::TakenOver, ..first };
+        let placement_plan = SearchPlan { purpose: StagePurpose::TakenOver, ..first };
         Ok(match from {
             Shape::Planar(map) if self.determines_shear() => {
                 let near = SearchPlan { every: ENOUGH_TO_TURN, ..placement_plan };
@@ -89,7 +89,7 @@ impl ContourTracker {
                 let finger =
                     self.run_ribbon::<5>(scene, &turned.shape, Limb::Finger, plan, Some(&prior))?;
                 match &finger.fit {
-                    Some(fit) if self.hand.kind.has_thumb => {
+                    Some(fit) if self.hand.model.has_thumb => {
                         self.fit_thumb(scene, &finger, fit, plan)?.into()
                     }
                     _ => finger.into(),
@@ -137,7 +137,7 @@ impl ContourTracker {
     /// Whether the planar template has a thumb that determines length and shear; a traced outline
     /// is assumed to be more than a finger.
     fn determines_shear(&self) -> bool {
-        self.hand.kind.has_thumb || self.template.proportions().is_none()
+        self.hand.model.has_thumb || self.template.proportions().is_none()
     }
 
     /// Fits the thumb of a fitted finger. A thumb bends and leans; it must not turn the finger,
@@ -155,7 +155,7 @@ impl ContourTracker {
             prior.mean[i] = finger.shape[i];
             prior.information[(i, i)] = PINNED_SIGMA.powi(-2);
         }
-        let plan = SearchPlan { rest: StageEnd::Thumb, ..plan };
+        let plan = SearchPlan { purpose: StagePurpose::Thumb, ..plan };
         let whole = self.run_ribbon(scene, &finger.shape, Limb::Thumb, plan, Some(&prior))?;
         let Some(with_thumb) = whole.fit else { return Ok(*finger) };
         if !self.is_thumb(&whole.shape, &with_thumb) {
@@ -215,7 +215,7 @@ impl ContourTracker {
     }
 
     pub(super) fn ribbon<const D: usize>(&self, about: &RibbonVector) -> Result<Ribbon<D>> {
-        Ribbon::about(about, &self.hand.measure.with_thumb(self.hand.kind.has_thumb))
+        Ribbon::about(about, &self.hand.measure.with_thumb(self.hand.model.has_thumb))
     }
 
     /// Prior on the width of a finger that an object may cover; `None` of one that is not covered.

@@ -11,7 +11,7 @@ use super::convergence::Convergence;
 use super::fit_result::FitResult;
 use super::options::MIN_HALF_LENGTH_PX;
 use super::scene::Scene;
-use super::stage::{Fit, FitStage, SearchPlan, StageEnd};
+use super::stage::{Fit, FitStage, SearchPlan, StagePurpose};
 use super::tracker::PINNED_SIGMA;
 use crate::Result;
 use crate::geometry::shape_space::ShapeSpace;
@@ -131,7 +131,7 @@ impl Convergence {
         stage: &FitStage<'_>,
         prior: Option<&Prior<D>>,
     ) -> Result<FitResult<SVector<f64, D>>> {
-        let plan = SearchPlan { rest: StageEnd::TakenOver, ..stage.plan };
+        let plan = SearchPlan { purpose: StagePurpose::TakenOver, ..stage.plan };
         let front = FitStage { samples: front(stage.samples), plan, ..*stage };
         let ahead = self.run(scene, space, x, &front, prior)?;
         let half_length_px = stage.plan.half_length_px.min(MIN_HALF_LENGTH_PX);

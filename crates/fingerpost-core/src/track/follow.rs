@@ -42,9 +42,9 @@ impl ContourTracker {
         let reach_px = self.largeness() * half_length_px * (reach_factor + missed as f64)
             + predicted_motion_px;
         let predicted = from.placed(&expected);
-        let Selection { found, pushed_px, likeness } =
+        let Selection { found, occlusion_shift_px, likeness } =
             self.find(scene, predicted, reach_px, Some(&prediction))?;
-        let prediction = prediction.pushed(pushed_px);
+        let prediction = prediction.with_occlusion_shift(occlusion_shift_px);
         self.hand.note_covered(&found);
         let followed = prediction.followed(&found)?;
         let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());

@@ -2,7 +2,6 @@
 
 use super::appearance::{AppearanceModel, EdgeCue, SearchModel};
 use super::fit_result::FitResult;
-use super::initialise::Kind;
 use super::limbs::finger_samples;
 use super::options::TrackerOptions;
 use super::scene::Scene;
@@ -43,6 +42,13 @@ pub(super) struct InitialTemplate {
     pub(super) measure: BandMeasure,
 }
 
+/// Model of one hand: whether it shows a thumb, and the polarity of its edges.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct HandModel {
+    pub(super) has_thumb: bool,
+    pub(super) polarity: Polarity,
+}
+
 /// The present state of the hand.
 #[derive(Debug, Clone)]
 pub(super) struct Hand {
@@ -50,7 +56,7 @@ pub(super) struct Hand {
     /// The band template at acquisition; its widths and taper follow slowly.
     pub(super) acquired: RibbonVector,
     /// Whether it shows a thumb, and the polarity of its edges.
-    pub(super) kind: Kind,
+    pub(super) model: HandModel,
     /// Extent of the finger along which the samples lie.
     pub(super) measure: BandMeasure,
     /// The planar template fitted to this hand; unused by the band model.
@@ -61,8 +67,8 @@ pub(super) struct Hand {
     /// it was acquired without one.
     pub(super) shaded: Option<Part>,
     /// Its place when the appearance model was last updated \[px\], and the frames tracked since.
-    pub(super) taught_at_px: Vector2<f64>,
-    pub(super) untaught_frames: usize,
+    pub(super) learned_at_px: Vector2<f64>,
+    pub(super) frames_since_learning: usize,
     /// Frames in a row in which the thumb was not seen.
     pub(super) thumb_missed: usize,
     /// Bend state of its finger, bent frames in a row, and straight frames since acquisition.
@@ -79,18 +85,18 @@ pub(super) struct Hand {
     pub(super) is_covered: bool,
 }
 
-/// A lost hand: its last shape, kind and finger extent.
+/// A lost hand: its last shape, model and finger extent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LastKnown {
     pub(super) shape: Shape,
-    pub(super) kind: Kind,
+    pub(super) model: HandModel,
     pub(super) measure: BandMeasure,
 }
 
 impl InitialTemplate {
-    /// The kind of a hand that equals the template.
-    pub(super) fn kind(&self, options: &TrackerOptions) -> Kind {
-        Kind { has_thumb: self.measure.side != 0.0, polarity: options.polarity }
+    /// The model of a hand that equals the template.
+    pub(super) fn model(&self, options: &TrackerOptions) -> HandModel {
+        HandModel { has_thumb: self.measure.side != 0.0, polarity: options.polarity }
     }
 
     pub(super) fn shape(&self, template: &Template) -> Shape {
@@ -104,7 +110,7 @@ impl InitialTemplate {
 impl Hand {
     /// The band template's samples that take part: the finger's, and the thumb's if it is seen.
     pub(super) fn bands<'a>(&self, samples: &'a [TemplateSample]) -> &'a [TemplateSample] {
-        if self.kind.has_thumb { samples } else { finger_samples(samples) }
+        if self.model.has_thumb { samples } else { finger_samples(samples) }
     }
 
     /// The planar template's samples: those fitted to this hand, or the initial template's.
@@ -114,7 +120,7 @@ impl Hand {
 
     /// The data retained of it if it is lost in this shape.
     pub(super) fn remembered(&self, shape: Shape) -> LastKnown {
-        LastKnown { shape, kind: self.kind, measure: self.measure }
+        LastKnown { shape, model: self.model, measure: self.measure }
     }
 
     /// Lets the widths and the taper follow the fit slowly: the hand may come nearer.
@@ -146,7 +152,7 @@ impl Hand {
         let is_thumb_seen = found.fit.is_some_and(|f| f.shape.names.len() == RIBBON_DOF);
         self.thumb_missed = if is_thumb_seen { 0 } else { self.thumb_missed + 1 };
         if self.thumb_missed >= most_missed && matches!(self.shape, Shape::Ribbon(_)) {
-            self.kind.has_thumb = false;
+            self.model.has_thumb = false;
         }
     }
 
@@ -163,7 +169,7 @@ impl Hand {
                 self.planar(samples).iter().for_each(|s| each(s.part(), map.place(s)));
             }
             Shape::Ribbon(x) => {
-                let measure = self.measure.with_thumb(self.kind.has_thumb);
+                let measure = self.measure.with_thumb(self.model.has_thumb);
                 if let Ok(space) = Ribbon::<RIBBON_DOF>::about(x, &measure) {
                     let pose = space.pose(x);
                     let placed = self.bands(samples).iter().map(|s| (s, pose.place(s)));

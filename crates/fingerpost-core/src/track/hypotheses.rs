@@ -36,9 +36,9 @@ const GRID_TURNS_RAD: [f64; 3] = [0.0, -0.25, 0.25];
 /// The selected hypothesis.
 pub(super) struct Selection {
     pub(super) found: FitResult,
-    /// Distance by which an object that covers the tip may have pushed the fit back along the
+    /// Distance by which an object that covers the tip may have shifted the fit back along the
     /// finger \[px\].
-    pub(super) pushed_px: f64,
+    pub(super) occlusion_shift_px: f64,
     /// Weight of its edges, 0–1: 1 where the inside of most matches the appearance model.
     pub(super) likeness: f64,
 }
@@ -122,24 +122,24 @@ impl ContourTracker {
     ) -> Result<Selection> {
         let path = (predicted, Scale::Fine, prediction.map(|f| f.window), EdgeCue::HandEdges);
         let near = self.fit_stages(scene, path)?;
-        let pushed_px = self.goes_on_px(scene, &near.shape)?;
-        if self.is_sufficient(&near, prediction)? && pushed_px == 0.0 {
+        let occlusion_shift_px = self.extension_beyond_tip_px(scene, &near.shape)?;
+        if self.is_sufficient(&near, prediction)? && occlusion_shift_px == 0.0 {
             return match prediction {
-                Some(_) => Ok(Selection { found: near, pushed_px, likeness: 1.0 }),
-                None => self.selection(scene, &near, pushed_px),
+                Some(_) => Ok(Selection { found: near, occlusion_shift_px, likeness: 1.0 }),
+                None => self.selection(scene, &near, occlusion_shift_px),
             };
         }
-        let prediction = prediction.map(|f| f.pushed(pushed_px));
+        let prediction = prediction.map(|f| f.with_occlusion_shift(occlusion_shift_px));
         let prediction = prediction.as_ref();
-        let uncovered =
-            (near.fit.is_some() && pushed_px > 0.0).then(|| near.shape.ahead(pushed_px));
+        let uncovered = (near.fit.is_some() && occlusion_shift_px > 0.0)
+            .then(|| near.shape.ahead(occlusion_shift_px));
         let mut ranking =
             HypothesisRanking::starting_with(self.evaluated(scene, &near, path, prediction)?);
         self.try_constant_velocity(scene, &mut ranking, predicted, prediction)?;
         let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
         let approached = self.approach(scene, predicted, reach_px)?;
         self.try_from_afar(scene, &mut ranking, approached, prediction)?;
-        // An object that covers the tip may have pushed the fit back over several frames.
+        // An object that covers the tip may have shifted the fit back over several frames.
         if let Some(from) = uncovered {
             let path = (from, Scale::Fine, None, EdgeCue::HandEdges);
             ranking.add(self.evaluate_path(scene, path, prediction)?);
@@ -156,7 +156,7 @@ impl ContourTracker {
             // Repeated, so that the last search is that of the best hypothesis.
             None => self.fit_stages(scene, best.path)?,
         };
-        self.selection(scene, &found, pushed_px)
+        self.selection(scene, &found, occlusion_shift_px)
     }
 
     /// A hand whose whole contour was seen recently may be partly covered and continue at its
@@ -278,7 +278,7 @@ impl ContourTracker {
         &mut self,
         scene: &Scene<'_>,
         found: &FitResult,
-        pushed_px: f64,
+        occlusion_shift_px: f64,
     ) -> Result<Selection> {
         let expected = MOST * found.explained();
         let by_appearance = found.fit.is_some_and(|fit| fit.by_appearance);
@@ -288,7 +288,7 @@ impl ContourTracker {
         } else {
             1.0
         };
-        Ok(Selection { found: *found, pushed_px, likeness })
+        Ok(Selection { found: *found, occlusion_shift_px, likeness })
     }
 
     /// Fits and evaluates a hypothesis.
@@ -314,7 +314,8 @@ impl ContourTracker {
             Some(_) => self.motion(found, prediction)?.ranking_penalty,
             None => f64::INFINITY,
         };
-        let extension = self.goes_on_px(scene, &found.shape)? / self.hand.measure.length_px;
+        let extension =
+            self.extension_beyond_tip_px(scene, &found.shape)? / self.hand.measure.length_px;
         let matched = self.matched_share(scene, found.edges(), self.hand.matched_within_px())?
             / (1.0 + extension);
         Ok(Hypothesis { found: *found, path, matched, ranking_penalty })
@@ -330,7 +331,7 @@ impl ContourTracker {
 
     /// Distance that the hand extends beyond the tip of a finger, by the appearance model \[px\]; 0
     /// where that is unknown.
-    fn goes_on_px(&mut self, scene: &Scene<'_>, shape: &Shape) -> Result<f64> {
+    fn extension_beyond_tip_px(&mut self, scene: &Scene<'_>, shape: &Shape) -> Result<f64> {
         if is_off(Mechanism::UncoveredTip) {
             return Ok(0.0);
         }
@@ -340,7 +341,7 @@ impl ContourTracker {
         let Some(appearance) = search_model.cue.appearance() else { return Ok(0.0) };
         let search_frame =
             self.convergence.shown_about(scene, search_model.mixture, shaft.places_ahead(), 1.0)?;
-        Ok(shaft.goes_on_px(&search_frame, appearance))
+        Ok(shaft.extension_beyond_tip_px(&search_frame, appearance))
     }
 
     /// Whether a fit needs no further hypotheses: it explains nearly all of the contour, and its

@@ -11,6 +11,7 @@ use super::appearance::{AppearanceModel, EdgeCue, SearchModel};
 use super::convergence::Convergence;
 use super::fit_result::FitResult;
 use super::foreground_test::ForegroundTest;
+use super::hand::HandModel;
 use super::limbs::{THUMB_SIZES, finger_samples, thumb_samples};
 use super::options::{MIN_HALF_LENGTH_PX, TrackerOptions};
 use super::scene::Scene;
@@ -76,10 +77,10 @@ pub(super) struct TemplateInitialiser<'a> {
     pub measure: BandMeasure,
 }
 
-/// A hand that was found: its band template, and its kind.
+/// A hand that was found: its band template, and its model.
 pub(super) struct TemplateFit {
     pub hand: FitResult<RibbonVector>,
-    pub kind: Kind,
+    pub model: HandModel,
 }
 
 /// The finger with the highest quality until now.
@@ -87,13 +88,6 @@ struct Best {
     finger: FitResult<RibbonVector>,
     polarity: Polarity,
     quality: f64,
-}
-
-/// Whether a hand shows a thumb, and the polarity of its edges.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Kind {
-    pub has_thumb: bool,
-    pub polarity: Polarity,
 }
 
 impl TemplateInitialiser<'_> {
@@ -139,16 +133,16 @@ impl TemplateInitialiser<'_> {
         if finger.fit.is_some() && self.measure.side != 0.0 {
             let (hand, polarity) = self.thumb(convergence, scene, &finger.shape)?;
             if hand.fit.is_some() {
-                let kind = Kind { has_thumb: true, polarity };
+                let model = HandModel { has_thumb: true, polarity };
                 // Repeated, so that the last search is that of the best fit.
-                return self.refit(convergence, scene, &hand.shape, kind);
+                return self.refit(convergence, scene, &hand.shape, model);
             }
         }
-        let kind = Kind { has_thumb: false, polarity: finger_polarity };
+        let model = HandModel { has_thumb: false, polarity: finger_polarity };
         if finger.fit.is_none() {
-            return Ok(TemplateFit { hand: finger, kind });
+            return Ok(TemplateFit { hand: finger, model });
         }
-        self.refit(convergence, scene, &finger.shape, kind)
+        self.refit(convergence, scene, &finger.shape, model)
     }
 
     /// Replaces the best finger by the one fitted last, or by the one that its appearance leads to,
@@ -209,34 +203,34 @@ impl TemplateInitialiser<'_> {
         convergence: &mut Convergence,
         scene: &Scene<'_>,
         from: &RibbonVector,
-        kind: Kind,
+        model: HandModel,
     ) -> Result<TemplateFit> {
         let reach_px = (self.options.acquire.reach_px(self.initial[3]) / 2.0).max(1.0);
         let near_px = (NEAR_WIDTHS * from[3]).max(MIN_HALF_LENGTH_PX).min(reach_px);
         let least = self.options.acquire.accept.min_inliers;
         let (_, appearance_quality) =
-            self.rated_fit(convergence, scene, from, kind, EdgeCue::LogRatio, reach_px)?;
+            self.rated_fit(convergence, scene, from, model, EdgeCue::LogRatio, reach_px)?;
         let mut edges =
-            self.rated_fit(convergence, scene, from, kind, EdgeCue::AnyEdge, reach_px)?;
+            self.rated_fit(convergence, scene, from, model, EdgeCue::AnyEdge, reach_px)?;
         let mut searched_px = reach_px;
         if from[3] <= SLIM_PX && edges.0.hand.fit.is_none_or(|fit| fit.agreement < least) {
             searched_px = near_px;
-            edges = self.rated_fit(convergence, scene, from, kind, EdgeCue::AnyEdge, near_px)?;
+            edges = self.rated_fit(convergence, scene, from, model, EdgeCue::AnyEdge, near_px)?;
         }
         if scene.colour().is_none() {
             let close_px = MIN_HALF_LENGTH_PX;
             let close =
-                self.rated_fit(convergence, scene, from, kind, EdgeCue::AnyEdge, close_px)?;
+                self.rated_fit(convergence, scene, from, model, EdgeCue::AnyEdge, close_px)?;
             edges = if close.0.hand.explains_finger() >= CLOSE_SEEN && close.1 >= edges.1 {
                 close
             } else {
                 // Repeated, so that the last search is that of the best fit.
-                self.rated_fit(convergence, scene, from, kind, EdgeCue::AnyEdge, searched_px)?
+                self.rated_fit(convergence, scene, from, model, EdgeCue::AnyEdge, searched_px)?
             };
         }
         if appearance_quality > MIN_SCORE_GAIN * edges.1 {
             // Repeated, so that the last search is that of the best fit.
-            edges = self.rated_fit(convergence, scene, from, kind, EdgeCue::LogRatio, reach_px)?;
+            edges = self.rated_fit(convergence, scene, from, model, EdgeCue::LogRatio, reach_px)?;
         }
         Ok(edges.0)
     }
@@ -248,11 +242,11 @@ impl TemplateInitialiser<'_> {
         convergence: &mut Convergence,
         scene: &Scene<'_>,
         from: &RibbonVector,
-        kind: Kind,
+        model: HandModel,
         edge_cue: EdgeCue,
         half_px: f64,
     ) -> Result<(TemplateFit, f64)> {
-        let Kind { has_thumb, polarity } = kind;
+        let HandModel { has_thumb, polarity } = model;
         let has_thumb = has_thumb && edge_cue == EdgeCue::AnyEdge;
         let fitted_finger = if edge_cue == EdgeCue::LogRatio {
             self.fit_by_silhouette(convergence, scene, from, polarity)?
@@ -261,7 +255,7 @@ impl TemplateInitialiser<'_> {
         } else {
             self.bands::<5>(convergence, scene, from, from, half_px, polarity)?
         };
-        let none = |x| TemplateFit { hand: FitResult::unfitted(x), kind };
+        let none = |x| TemplateFit { hand: FitResult::unfitted(x), model };
         if !self.is_plausible(&fitted_finger, has_thumb) {
             return Ok((none(fitted_finger.shape), 0.0));
         }
@@ -276,7 +270,7 @@ impl TemplateInitialiser<'_> {
         let quality = self.quality(convergence, scene, &hand.shape, (explained, separation));
         // Appearance may have moved the finger and dropped the thumb.
         let has_thumb = has_thumb && fit.shape.names.len() == RIBBON_DOF;
-        Ok((TemplateFit { hand, kind: Kind { has_thumb, polarity } }, quality))
+        Ok((TemplateFit { hand, model: HandModel { has_thumb, polarity } }, quality))
     }
 
     /// Whether a fit is a hand of about the expected size, seen on both flanks, at the tip and, if
@@ -315,7 +309,13 @@ impl TemplateInitialiser<'_> {
         let reach_px = self.options.acquire.reach_px(self.initial[3]);
         for _ in 0..LED_ROUNDS {
             let silhouette = Silhouette::of_band(&x);
-            convergence.teach(&mut appearance, samples.len(), scene, &silhouette, (0.0, 1.0))?;
+            convergence.learn_from_fit(
+                &mut appearance,
+                samples.len(),
+                scene,
+                &silhouette,
+                (0.0, 1.0),
+            )?;
             let refitted = self.fit_by_appearance(
                 convergence,
                 scene,
@@ -354,14 +354,14 @@ impl TemplateInitialiser<'_> {
         // First it only moves and turns: its width is that of the pixels taken for inside.
         let reach_px = self.options.acquire.reach_px(self.initial[3]);
         let mut fitted = FitResult::unfitted(*from);
-        if self.teach_at(convergence, scene, &mut appearance, from)?
+        if self.learn_at(convergence, scene, &mut appearance, from)?
             && let Some(log_ratios) = appearance.search_model(scene, EdgeCue::LogRatio, polarity)
         {
             fitted =
                 self.bands_with_model::<3>(convergence, scene, (from, from), reach_px, log_ratios)?;
         }
         if fitted.fit.is_some()
-            && self.teach_at(convergence, scene, &mut appearance, &fitted.shape)?
+            && self.learn_at(convergence, scene, &mut appearance, &fitted.shape)?
         {
             fitted = self.fit_by_appearance(
                 convergence,
@@ -375,9 +375,9 @@ impl TemplateInitialiser<'_> {
         Ok(fitted)
     }
 
-    /// Teaches an empty appearance model the inside and the outside of a finger; false if these do
+    /// An empty appearance model learns the inside and the outside of a finger; false if these do
     /// not differ.
-    fn teach_at(
+    fn learn_at(
         &self,
         convergence: &mut Convergence,
         scene: &Scene<'_>,
@@ -387,7 +387,7 @@ impl TemplateInitialiser<'_> {
         let pose =
             Ribbon::<5>::about(x, &self.measure.with_thumb(false))?.pose(&Ribbon::<5>::free(x));
         let contour = finger_samples(self.samples).iter().map(|sample| pose.place(sample));
-        convergence.teach_at(appearance, scene, contour, &Silhouette::of_band(x))
+        convergence.learn_at(appearance, scene, contour, &Silhouette::of_band(x))
     }
 
     /// The fit that an appearance model leads to: by log-likelihood ratios from afar, then by edges

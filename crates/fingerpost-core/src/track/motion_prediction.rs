@@ -19,9 +19,9 @@ pub(super) struct MotionPrediction {
 }
 
 impl MotionPrediction {
-    /// The same with the uncertainty that an object covering the tip may have pushed the fit back
+    /// The same with the uncertainty that an object covering the tip may have shifted the fit back
     /// along the finger by `by_px`.
-    pub(super) fn pushed(mut self, by_px: f64) -> Self {
+    pub(super) fn with_occlusion_shift(mut self, by_px: f64) -> Self {
         let (sin, cos) = self.window.expected.vector[2].sin_cos();
         let by = Vector3::new(by_px * cos, by_px * sin, 0.0);
         self.dynamics = self.dynamics.unsure(&by);

@@ -40,7 +40,7 @@ const SHARP_PX: f64 = 1.5;
 /// Period of learning the appearance of a hand that stays in place, in frames; one frame then
 /// counts as often. A hand that has moved by more than [`RELEARN_MIN_MOTION_HALF_WIDTHS`] is learned
 /// at once: it is before another background, and its image is blurred by motion.
-const FRAMES_A_LESSON: usize = 3;
+const LEARNING_PERIOD_FRAMES: usize = 3;
 const RELEARN_MIN_MOTION_HALF_WIDTHS: f64 = 0.5;
 
 /// Standard deviation of the bias of the line of a contour with a shaded flank, at its anchor
@@ -323,25 +323,25 @@ impl ContourTracker {
         )
     }
 
-    /// Learns the hand's appearance from an accepted fit, every [`FRAMES_A_LESSON`] frames. If the
+    /// Learns the hand's appearance from an accepted fit, every [`LEARNING_PERIOD_FRAMES`] frames. If the
     /// fit was not found by appearance, the light has changed: the model is replaced.
     pub(super) fn update_appearance(&mut self, scene: &Scene<'_>, found: &FitResult) -> Result<()> {
         let is_relit =
             self.hand.is_shown_in(scene) && found.fit.is_some_and(|fit| !fit.by_appearance);
         let place = self.hand.shape.placement().xy();
-        let moved_px = (place - self.hand.taught_at_px).norm();
+        let moved_px = (place - self.hand.learned_at_px).norm();
         let is_in_place = moved_px <= RELEARN_MIN_MOTION_HALF_WIDTHS * self.hand.acquired[3];
-        self.hand.untaught_frames += 1;
+        self.hand.frames_since_learning += 1;
         if is_relit {
             self.hand.appearance = None;
         } else if self.hand.is_shown_in(scene)
             && is_in_place
-            && self.hand.untaught_frames < FRAMES_A_LESSON
+            && self.hand.frames_since_learning < LEARNING_PERIOD_FRAMES
         {
             return Ok(());
         }
-        self.learn_appearance(scene, self.hand.untaught_frames)?;
-        (self.hand.taught_at_px, self.hand.untaught_frames) = (place, 0);
+        self.learn_appearance(scene, self.hand.frames_since_learning)?;
+        (self.hand.learned_at_px, self.hand.frames_since_learning) = (place, 0);
         if let Some(appearance) = self.hand.appearance.as_mut().filter(|_| is_relit) {
             appearance.anchor();
         }
@@ -367,7 +367,7 @@ impl ContourTracker {
             Model::Ribbon => AppearanceModel::new(coloured).with_flank_levels().with_shaded(shaded),
             Model::Paper => AppearanceModel::new(coloured),
         });
-        self.convergence.teach(appearance, samples, scene, &finger, (keep, frames as f64))
+        self.convergence.learn_from_fit(appearance, samples, scene, &finger, (keep, frames as f64))
     }
 
     /// Learns the background where the hand of the last accepted fit ends without an edge.
@@ -378,7 +378,7 @@ impl ContourTracker {
         }
         let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
         self.hand.appearance.as_mut().map_or(Ok(()), |appearance| {
-            self.convergence.teach_unseen(appearance, samples, scene, &finger)
+            self.convergence.learn_unseen(appearance, samples, scene, &finger)
         })
     }
 }

@@ -62,8 +62,8 @@ const AS_DARK: f64 = 0.15;
 const FLANK_PX: i32 = 4;
 /// Least extension of the finger beyond the fit, if that is of the lit half \[px, half-widths\].
 /// Colours of a fully lit finger bleed up to 5 px or 0.7 half-widths into black.
-const GOES_ON_PX: f64 = 4.0;
-const GOES_ON: f64 = 0.8;
+const MIN_EXTENSION_PX: f64 = 4.0;
+const MIN_EXTENSION_HALF_WIDTHS: f64 = 0.8;
 /// Number of fits up to the shaded flank, each with the appearance learned from the last one.
 const ROUNDS: usize = 2;
 /// Least increase of the half-width by the fit, as a part of the extension of the finger.
@@ -229,7 +229,7 @@ impl ContourTracker {
         let mut appearance =
             AppearanceModel::new(coloured).with_flank_levels().with_shaded(self.hand.shaded);
         let is_separated =
-            self.convergence.teach_at(&mut appearance, scene, outline.into_iter(), &silhouette)?;
+            self.convergence.learn_at(&mut appearance, scene, outline.into_iter(), &silhouette)?;
         self.hand.appearance = Some(appearance);
         Ok(is_separated && self.hand.is_mixed())
     }
@@ -342,7 +342,8 @@ impl FlankProfile {
     /// lit half's; `None` if the flank is not shaded.
     fn shaded(&self, half_width_px: f64) -> Option<(f64, f64)> {
         let end = self.end(half_width_px)?;
-        let is_beyond_fit = f64::from(end) > GOES_ON_PX.max(GOES_ON * half_width_px);
+        let is_beyond_fit =
+            f64::from(end) > MIN_EXTENSION_PX.max(MIN_EXTENSION_HALF_WIDTHS * half_width_px);
         let (from, to) = if is_beyond_fit { (2, end - 1) } else { (-FLANK_PX, -1) };
         let beyond_end = end + BLEEDS_PX;
         let (inside, outside) = self.sides()?;

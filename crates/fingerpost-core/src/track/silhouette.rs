@@ -144,7 +144,7 @@ impl Shaft {
     /// Length by which the hand continues ahead of its tip \[px\], beyond an occluder across it: up
     /// to the end of the segment with the largest sum of log-likelihood ratios; 0 if that is less
     /// than the sum over half the finger's width of hand.
-    pub fn goes_on_px(&self, frame: &Frame<'_>, appearance: &HistogramModel) -> f64 {
+    pub fn extension_beyond_tip_px(&self, frame: &Frame<'_>, appearance: &HistogramModel) -> f64 {
         let (mut sum, mut best, mut end_px) = (0.0_f64, 0.0, 0.0);
         for ahead_px in self.steps(self.half_width_px, self.length_px) {
             sum = sum.max(0.0) + self.log_ratio(frame, appearance, ahead_px) * self.step_px();

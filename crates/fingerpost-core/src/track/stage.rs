@@ -17,7 +17,7 @@ pub(super) const SURE: f64 = 0.85;
 const CONVERGED_PX: f64 = 0.05;
 
 /// The same for a thumb \[px\].
-const THUMB_RESTS_PX: f64 = 0.1;
+const THUMB_CONVERGED_PX: f64 = 0.1;
 
 /// The same for a stage that another shape space continues \[px\].
 const TAKEN_OVER_PX: f64 = 1.0;
@@ -58,7 +58,7 @@ pub(super) struct SearchPlan {
     pub edges_within_px: f64,
     /// Prediction that shortens the lines further, if the hand's motion is known.
     pub window: Option<Window>,
-    pub rest: StageEnd,
+    pub purpose: StagePurpose,
     /// Whether only edges that match the appearance model inside count.
     pub matched_only: bool,
 }
@@ -73,15 +73,15 @@ impl SearchPlan {
             half_length_px,
             edges_within_px: f64::INFINITY,
             window: None,
-            rest: StageEnd::Reported,
+            purpose: StagePurpose::Reported,
             matched_only: false,
         }
     }
 }
 
-/// Use of a contour that has converged.
+/// Purpose of a stage: the use of its contour once it has converged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum StageEnd {
+pub(super) enum StagePurpose {
     /// It is reported.
     Reported,
     /// Another shape space continues from it and converges itself: no fit is reported.
@@ -90,13 +90,13 @@ pub(super) enum StageEnd {
     Thumb,
 }
 
-impl StageEnd {
+impl StagePurpose {
     /// Largest motion of a sample at convergence \[px\].
-    pub fn px(self) -> f64 {
+    pub fn tolerance_px(self) -> f64 {
         match self {
             Self::Reported => CONVERGED_PX,
             Self::TakenOver => TAKEN_OVER_PX,
-            Self::Thumb => THUMB_RESTS_PX,
+            Self::Thumb => THUMB_CONVERGED_PX,
         }
     }
 }

@@ -84,7 +84,7 @@ pub(super) enum Phase {
     Acquiring { settled: usize },
     /// `missed` frames in a row without an accepted fit.
     Tracking { missed: usize },
-    /// Pose and kind of the hand when last seen; `settled` accepted frames in a row since.
+    /// Pose and model of the hand when last seen; `settled` accepted frames in a row since.
     Lost { last: LastKnown, settled: usize },
 }
 
@@ -134,13 +134,13 @@ impl ContourTracker {
         let hand = Hand {
             shape: initial.shape(&template),
             acquired: ribbon,
-            kind: initial.kind(&options),
+            model: initial.model(&options),
             measure,
             fitted: Vec::with_capacity(samples.len()),
             appearance: None,
             shaded: None,
-            taught_at_px: Vector2::zeros(),
-            untaught_frames: 0,
+            learned_at_px: Vector2::zeros(),
+            frames_since_learning: 0,
             thumb_missed: 0,
             bend_state: BendState::Straight,
             bent_frames: 0,

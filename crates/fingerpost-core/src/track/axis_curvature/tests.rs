@@ -114,7 +114,7 @@ fn noise_makes_no_flank_faint() {
 }
 
 #[test]
-fn pixels_that_disagree_with_the_model_teach_no_bend() {
+fn no_bend_is_learned_from_pixels_that_disagree_with_the_model() {
     let mut axis_curvature = AxisCurvature::default();
     axis_curvature.learn(&refined(5.0, 0.1, Source::Bisector), true);
     assert!(axis_curvature.bend_bias().abs() < 1e-12);
