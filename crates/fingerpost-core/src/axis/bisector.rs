@@ -6,7 +6,7 @@
 //! planes, so the bisector is the axis for any taper and perspective. Light from the side shifts
 //! both edges in the same direction and biases the bisector; the photometric line models it.
 
-use super::sketch::{FlankLines, SIDES, Sketch};
+use super::finger_estimate::{FingerEstimate, FlankLines, SIDES};
 use super::visible_flanks::VisibleFlanks;
 use crate::Result;
 use crate::axis::{BisectorOptions, BisectorReport, WidthPrior};
@@ -64,8 +64,8 @@ struct Station {
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BisectorFit {
-    pub sketch: Sketch,
-    /// Of d and ϑ at the sketch's origin.
+    pub estimate: FingerEstimate,
+    /// Of d and ϑ at the estimate's origin.
     pub covariance: Matrix2<f64>,
     pub report: BisectorReport,
 }
@@ -101,20 +101,20 @@ impl Bisector {
         Self { search: self.search.with_isa(isa), ..self }
     }
 
-    /// The bisector near the sketch, or `None` if the flanks are not visible.
+    /// The bisector near the estimate, or `None` if the flanks are not visible.
     ///
     /// # Errors
-    /// When the sketch cannot be searched along.
+    /// When the estimate cannot be searched along.
     pub fn fit(
         &mut self,
         frame: &Frame<'_>,
         cue: Cue<'_>,
         polarity: Polarity,
         noise_grey: f64,
-        sketch: &Sketch,
+        estimate: &FingerEstimate,
         visible: &VisibleFlanks,
     ) -> Result<Option<BisectorFit>> {
-        let mut at = *sketch;
+        let mut at = *estimate;
         // The search of one flank must not reach the other.
         let mut half_length_px = self.options.half_length_px.min(at.half_width_px.max(2.0));
         let mut last = None;
@@ -131,7 +131,7 @@ impl Bisector {
             if self.flanks.iter().any(|f| f.len() < self.options.min_edges) {
                 return Ok(None);
             }
-            let Some(solution) = self.solve(&at, sketch)? else { return Ok(None) };
+            let Some(solution) = self.solve(&at, estimate)? else { return Ok(None) };
             let step = solution.step;
             let moved = step[0].abs() + at.half_length_px * step[1].abs();
             at = at.moved(&FlankLines {
@@ -141,7 +141,7 @@ impl Bisector {
                 taper: at.taper + step[3],
             });
             let Solution { covariance, report, .. } = solution;
-            last = Some(BisectorFit { sketch: at, covariance, report });
+            last = Some(BisectorFit { estimate: at, covariance, report });
             half_length_px = half_length_px.min(NEAR_PX);
             if pass > 0 && moved < SETTLED_PX {
                 break;
@@ -157,7 +157,7 @@ impl Bisector {
         cue: Cue<'_>,
         polarity: Polarity,
         noise_grey: f64,
-        at: &Sketch,
+        at: &FingerEstimate,
         half_length_px: f64,
     ) -> Result<()> {
         let normal = at.normal();
@@ -190,9 +190,13 @@ impl Bisector {
         Ok(())
     }
 
-    /// The step from `at` by the edge measurements and the finger's prior about the sketch. Without
-    /// a prior, a term about `at` damps the step instead, and does not pull the line to the sketch.
-    fn solve(&mut self, at: &Sketch, sketch: &Sketch) -> Result<Option<Solution>> {
+    /// The step from `at` by the edge measurements and the finger's prior about the estimate. Without
+    /// a prior, a term about `at` damps the step instead, and does not pull the line to the estimate.
+    fn solve(
+        &mut self,
+        at: &FingerEstimate,
+        estimate: &FingerEstimate,
+    ) -> Result<Option<Solution>> {
         let mut equations = self.equations.clear::<UNKNOWNS>();
         for (stations, side) in self.flanks.iter().zip(SIDES) {
             for s in stations {
@@ -214,8 +218,8 @@ impl Bisector {
             width_prior.taper_sigma,
         ];
         let (lateral_px, turned) = at.prior.map_or((0.0, 0.0), |_| {
-            let lateral = sketch.origin - at.origin;
-            (at.normal().dot(&lateral), at.along.perp(&sketch.along))
+            let lateral = estimate.origin - at.origin;
+            (at.normal().dot(&lateral), at.along.perp(&estimate.along))
         });
         let (width_change_px, taper_change) =
             (width_prior.half_width_px - at.half_width_px, width_prior.taper - at.taper);
@@ -293,7 +297,7 @@ fn consensus(stations: &mut Vec<Station>, within_px: f64) {
             |s: &Station| ((s.offset_px - offset - slope * s.p) / within_px).powi(2).min(1.0);
         stations.iter().map(truncated).sum()
     };
-    // The candidates are the sketch's own line, then lines through an edge of the first third and
+    // The candidates are the estimate's own line, then lines through an edge of the first third and
     // one of the last third, in a fixed order that covers both thirds.
     let (mut best, mut line) = (cost(0.0, 0.0), (0.0, 0.0));
     for k in 0..TRIALS {

@@ -54,6 +54,7 @@ mod background;
 mod bisector;
 mod block;
 mod blur;
+mod finger_estimate;
 mod gram;
 mod noise;
 mod options;
@@ -62,7 +63,6 @@ mod pixels;
 mod profile;
 mod round;
 mod shading;
-mod sketch;
 mod straightness;
 mod texture;
 mod unknowns;
@@ -85,10 +85,10 @@ use crate::measure::edge_search::Cue;
 use crate::numeric::simd::Isa;
 use crate::{Error, Result};
 use bisector::{Bisector, BisectorFit};
+use finger_estimate::FingerEstimate;
 use nalgebra::Matrix2;
 use noise::NoiseEstimator;
 use photometric::{Photometric, PhotometricFit};
-use sketch::Sketch;
 use straightness::Straightness;
 use visible_flanks::VisibleFlanks;
 
@@ -344,13 +344,13 @@ impl Refiner {
                 }
             }
         }
-        let Some(sketch) = Sketch::of(finger)? else { return Ok(None) };
-        let Some(noise_grey) = self.noise.estimate(image, &sketch) else { return Ok(None) };
+        let Some(estimate) = FingerEstimate::of(finger)? else { return Ok(None) };
+        let Some(noise_grey) = self.noise.estimate(image, &estimate) else { return Ok(None) };
         let cue = appearance.map_or(Cue::Edges, Cue::HandEdges);
-        self.visible.measure(frame, appearance, &sketch);
+        self.visible.measure(frame, appearance, &estimate);
         let bisector =
-            self.bisector.fit(frame, cue, polarity, noise_grey, &sketch, &self.visible)?;
-        let start = bisector.map_or(sketch, |b| b.sketch);
+            self.bisector.fit(frame, cue, polarity, noise_grey, &estimate, &self.visible)?;
+        let start = bisector.map_or(estimate, |b| b.estimate);
         let photometric = self.fit_pixels(image, background, noise_grey, &start);
         Ok(self.select_line(noise_grey, &start, bisector, photometric))
     }
@@ -382,7 +382,7 @@ impl Refiner {
         image: &GrayView<'_>,
         background: Option<&KnownBackground<'_>>,
         noise_grey: f64,
-        start: &Sketch,
+        start: &FingerEstimate,
     ) -> Option<(PhotometricFit, f64)> {
         let options = self.options;
         let source_of_fit =
@@ -405,7 +405,7 @@ impl Refiner {
         &mut self,
         image: &GrayView<'_>,
         known: &KnownBackground<'_>,
-        start: &Sketch,
+        start: &FingerEstimate,
     ) -> Option<(PhotometricFit, f64)> {
         let image = known.image().unwrap_or(image);
         let noise_grey = self.noise.estimate(image, start)?;
@@ -417,30 +417,30 @@ impl Refiner {
     fn select_line(
         &self,
         noise_grey: f64,
-        start: &Sketch,
+        start: &FingerEstimate,
         bisector: Option<BisectorFit>,
         photometric: Option<(PhotometricFit, f64)>,
     ) -> Option<Refined> {
         let source_of_fit =
             photometric.and_then(|(p, noise)| Some((p, self.options.source_of(&p.report, noise)?)));
         let whole = Stretch { from_px: -start.half_length_px, to_px: start.half_length_px };
-        let (source, sketch, covariance, stretch) = match (source_of_fit, &bisector) {
+        let (source, estimate, covariance, stretch) = match (source_of_fit, &bisector) {
             (Some((p, source)), _) => (source, start.moved(&p.line), p.covariance, p.stretch),
             (_, Some(b)) if self.options.accepts_bisector(&b.report) => {
-                (Source::Bisector, b.sketch, b.covariance, whole)
+                (Source::Bisector, b.estimate, b.covariance, whole)
             }
             _ => return None,
         };
-        let at = sketch.anchor_px;
+        let at = estimate.anchor_px;
         // Offset at the anchor: d + at · ϑ.
         let move_to = Matrix2::new(1.0, at, 0.0, 1.0);
-        let angle_rad = sketch.along.y.atan2(sketch.along.x);
+        let angle_rad = estimate.along.y.atan2(estimate.along.x);
         Some(Refined {
-            axis: Axis::of_finger(sketch.place(at, 0.0), angle_rad, sketch.tip_px - at),
+            axis: Axis::of_finger(estimate.place(at, 0.0), angle_rad, estimate.tip_px - at),
             covariance: move_to * covariance * move_to.transpose(),
             stretch: Stretch { from_px: stretch.from_px - at, to_px: stretch.to_px - at },
-            half_width_px: sketch.half_width_at(at),
-            taper: sketch.taper,
+            half_width_px: estimate.half_width_at(at),
+            taper: estimate.taper,
             source,
             noise_grey: photometric.map_or(noise_grey, |(_, noise)| noise),
             bisector: bisector.map(|b| b.report),

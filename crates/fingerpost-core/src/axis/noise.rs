@@ -5,7 +5,7 @@
 //! rows or columns, and has 36 times the variance of white noise. Cells on flat parts of the scene
 //! agree on that variance; cells with edges or texture exceed it and are left out.
 
-use super::sketch::Sketch;
+use super::finger_estimate::FingerEstimate;
 use crate::image::gray::GrayView;
 use crate::numeric::simd::each;
 
@@ -46,8 +46,8 @@ impl NoiseEstimator {
 
     /// Standard deviation of the noise near the finger \[grey levels\]; `None` if too few cells
     /// there are free of clipped pixels.
-    pub fn estimate(&mut self, image: &GrayView<'_>, sketch: &Sketch) -> Option<f64> {
-        self.collect(image, sketch);
+    pub fn estimate(&mut self, image: &GrayView<'_>, estimate: &FingerEstimate) -> Option<f64> {
+        self.collect(image, estimate);
         let cells = &mut self.cells;
         if cells.len() < MIN_CELLS {
             return None;
@@ -68,19 +68,19 @@ impl NoiseEstimator {
     }
 
     /// Collects the variances of the cells in the bounding box of the finger.
-    fn collect(&mut self, image: &GrayView<'_>, sketch: &Sketch) {
+    fn collect(&mut self, image: &GrayView<'_>, estimate: &FingerEstimate) {
         let (half_length_px, half_reach_px) =
-            (sketch.half_length_px, sketch.half_width_px + MARGIN_PX);
-        let (u, v) = (sketch.along.x.abs(), sketch.along.y.abs());
+            (estimate.half_length_px, estimate.half_width_px + MARGIN_PX);
+        let (u, v) = (estimate.along.x.abs(), estimate.along.y.abs());
         // A cell's differences reach one px beyond it.
         let span = |middle: f64, half: f64, size: usize| {
             let last = size as f64 - 1.0;
             ((middle - half).clamp(1.0, last) as usize, (middle + half).clamp(1.0, last) as usize)
         };
         let (left, right) =
-            span(sketch.origin.x, u * half_length_px + v * half_reach_px, image.width().max(2));
+            span(estimate.origin.x, u * half_length_px + v * half_reach_px, image.width().max(2));
         let (top, bottom) =
-            span(sketch.origin.y, v * half_length_px + u * half_reach_px, image.height().max(2));
+            span(estimate.origin.y, v * half_length_px + u * half_reach_px, image.height().max(2));
         self.cells.clear();
         for y in (top..(bottom + 1).saturating_sub(CELL)).step_by(CELL) {
             for x in (left..(right + 1).saturating_sub(CELL)).step_by(CELL) {

@@ -33,12 +33,12 @@ mod lanes;
 use super::Stretch;
 use super::block::{EDGE_EFFECT, Evidence};
 use super::blur::BlurTable;
+use super::finger_estimate::{FingerEstimate, FlankLines};
 use super::gram::Weighing;
 use super::photometric::flank::PhotometricFlank;
 use super::photometric::lanes::{Linearising, PixelSums, Surveying};
 use super::pixels::USUAL_BLOCKS;
 use super::profile::{CLEAR, RoundEnd};
-use super::sketch::{FlankLines, Sketch};
 use super::unknowns::{
     BEND, BLUR_SIGMA_PX, BULGE, Factors, FlankEquations, FlankStep, LEAST_CONTRAST_GREY, OFFSET,
     SLOPE, UNKNOWNS, Unknowns, UnknownsInformation, UnknownsPrior, UnknownsVector,
@@ -50,7 +50,7 @@ use crate::numeric::simd::Isa;
 use nalgebra::{Cholesky, Const, Matrix2, Matrix4, Vector2};
 use std::f64::consts::PI;
 
-/// Residual scale of the first iteration as a fraction of the contrast: the sketch is a fraction of
+/// Residual scale of the first iteration as a fraction of the contrast: the estimate is a fraction of
 /// a px off.
 const FIRST_SCALE: f64 = 0.1;
 /// Lower bound on the residual scale, as a fraction of the image noise: a few pixels that agree by
@@ -74,7 +74,7 @@ const NEARLY_SETTLED: f64 = 10.0;
 /// A known background that is present leaves at least this fraction of the blocks of either flank
 /// usable. Where it is absent, some blocks agree with it by chance.
 const LEAST_USABLE: f64 = 0.7;
-/// Initial levels come from pixels at least this far inside and outside the sketch's edge \[px\].
+/// Initial levels come from pixels at least this far inside and outside the estimate's edge \[px\].
 const CLEAR_INSIDE_PX: f32 = 2.0;
 const CLEAR_OUTSIDE_PX: f32 = 1.0;
 /// The initial blur is estimated from pixels within this distance of the edge, and has this lower
@@ -92,7 +92,7 @@ pub(super) struct Photometric {
     sorted: Vec<f64>,
 }
 
-/// A photometric line, in the frame of the sketch it was fitted from.
+/// A photometric line, in the frame of the estimate it was fitted from.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PhotometricFit {
     pub line: FlankLines,
@@ -145,30 +145,30 @@ impl Photometric {
         Self { isa, ..self }
     }
 
-    /// The line near the sketch. `None` if too little of a flank is visible or the pixels do not
+    /// The line near the estimate. `None` if too little of a flank is visible or the pixels do not
     /// determine the line.
     pub fn fit(
         &mut self,
         image: &GrayView<'_>,
         background: Option<&KnownBackground<'_>>,
         noise_grey: f64,
-        sketch: &Sketch,
+        estimate: &FingerEstimate,
         visible: &VisibleFlanks,
     ) -> Option<PhotometricFit> {
-        if !self.gather(image, background, noise_grey, sketch, visible) {
+        if !self.gather(image, background, noise_grey, estimate, visible) {
             return None;
         }
-        let mut x = self.start(sketch)?;
+        let mut x = self.start(estimate)?;
         let pixels = self.pixels() as f64;
         let contrast = [0, 1].map(|f| self.flanks[f].strip.contrast_grey(x.contrast_grey(f)).abs());
         let contrast = contrast[0].max(contrast[1]);
-        let prior = UnknownsPrior::about(&x, sketch, contrast, &self.options);
+        let prior = UnknownsPrior::about(&x, estimate, contrast, &self.options);
         let mut scale = (FIRST_SCALE * contrast.max(LEAST_CONTRAST_GREY)).max(noise_grey);
         let mut iteration = 0;
         loop {
             iteration += 1;
             let adapting = iteration <= ADAPTING_ITERATIONS;
-            let mut normal = self.normal(sketch, &x, scale, iteration);
+            let mut normal = self.normal(estimate, &x, scale, iteration);
             let freedom = pixels / (pixels - UNKNOWNS as f64 - normal.tally.freed).max(1.0);
             if adapting {
                 scale = self.residual_scale(scale, freedom).max(LEAST_SCALE * noise_grey);
@@ -176,14 +176,14 @@ impl Photometric {
             normal.join(&prior, &x, scale);
             let factor = Cholesky::new(normal.information)?;
             let step = factor.solve(&normal.right);
-            let motion = Unknowns::motion_px(&step, sketch.half_length_px);
+            let motion = Unknowns::motion_px(&step, estimate.half_length_px);
             if !motion.is_finite() {
                 return None;
             }
             let blur = LARGEST_BLUR_CHANGE * x.blur_px() / step[unknowns::BLUR].abs();
             let part = (LONGEST_STEP_PX / motion).min(blur).min(1.0);
             x.0 += step * part;
-            self.follow(sketch, &step, part);
+            self.follow(estimate, &step, part);
             // χ² of the step: its squared length in units of the covariance of all unknowns.
             let chi_squared = step.dot(&normal.right) / (scale * scale);
             let is_small = motion < self.options.tolerance_px || chi_squared < SMALL_STEP;
@@ -197,8 +197,8 @@ impl Photometric {
                     iterations: iteration,
                     converged: settled,
                 };
-                let report = self.report(sketch, &x, &normal.tally, &ending);
-                return straight(&x, &covariance, sketch.half_length_px, report);
+                let report = self.report(estimate, &x, &normal.tally, &ending);
+                return straight(&x, &covariance, estimate.half_length_px, report);
             }
         }
     }
@@ -209,13 +209,13 @@ impl Photometric {
         image: &GrayView<'_>,
         background: Option<&KnownBackground<'_>>,
         noise_grey: f64,
-        sketch: &Sketch,
+        estimate: &FingerEstimate,
         visible: &VisibleFlanks,
     ) -> bool {
         let Self { options, flanks, .. } = self;
         flanks.iter_mut().enumerate().all(|(index, flank)| {
             let PhotometricFlank { strip, .. } = flank;
-            strip.gather(image, background, noise_grey, sketch, &visible.flank(index), options);
+            strip.gather(image, background, noise_grey, estimate, &visible.flank(index), options);
             flank.begin();
             let is_contradicted = background.is_some() && flank.strip.usable() < LEAST_USABLE;
             flank.strip.blocks.len() >= options.min_blocks && !is_contradicted
@@ -227,30 +227,42 @@ impl Photometric {
         self.flanks.iter().map(|f| f.strip.pixels()).sum()
     }
 
-    /// Initial unknowns: the sketch, and per flank the median over the blocks of the levels clear
+    /// Initial unknowns: the estimate, and per flank the median over the blocks of the levels clear
     /// of the edge. `None` if a flank has no such pixels on either side.
-    fn start(&mut self, sketch: &Sketch) -> Option<Unknowns> {
+    fn start(&mut self, estimate: &FingerEstimate) -> Option<Unknowns> {
         let Self { isa, flanks, sorted, .. } = self;
         let mut levels = [[0.0; 2]; 2];
         for ([inside, outside], PhotometricFlank { strip, .. }) in levels.iter_mut().zip(flanks) {
             let clear_inside =
                 |outside_px: f32, grey: f32, _: f32| (outside_px < -CLEAR_INSIDE_PX, grey);
-            isa.run(Surveying { strip, sketch, measure: clear_inside, mean: true, means: sorted });
+            isa.run(Surveying {
+                strip,
+                estimate,
+                measure: clear_inside,
+                mean: true,
+                means: sorted,
+            });
             *inside = median(sorted)?;
             let clear_outside = |outside_px: f32, grey: f32, behind: f32| {
                 (outside_px > CLEAR_OUTSIDE_PX, grey - behind)
             };
-            isa.run(Surveying { strip, sketch, measure: clear_outside, mean: true, means: sorted });
+            isa.run(Surveying {
+                strip,
+                estimate,
+                measure: clear_outside,
+                mean: true,
+                means: sorted,
+            });
             *outside = median(sorted)?;
         }
-        let blur_px = self.edge_blur_px(sketch, &levels);
-        Some(Unknowns::on(sketch, levels, blur_px))
+        let blur_px = self.edge_blur_px(estimate, &levels);
+        Some(Unknowns::on(estimate, levels, blur_px))
     }
 
-    /// Blur at the sketch's edge, for given levels a and b of either flank, by the median over its
+    /// Blur at the estimate's edge, for given levels a and b of either flank, by the median over its
     /// blocks \[px\]. For a blurred step, n = (I − b) / (a − b) satisfies ∫ n (1 − n) dy = s / √π.
     /// Pixels outside the range of the two levels contribute zero.
-    fn edge_blur_px(&mut self, sketch: &Sketch, levels: &[[f64; 2]; 2]) -> f64 {
+    fn edge_blur_px(&mut self, estimate: &FingerEstimate, levels: &[[f64; 2]; 2]) -> f64 {
         let Self { isa, flanks, sorted, .. } = self;
         let mut sum = 0.0;
         for (PhotometricFlank { strip, .. }, levels) in flanks.iter().zip(levels) {
@@ -261,7 +273,13 @@ impl Photometric {
                 // Keeps the quotient finite without contrast.
                 (outside_px.abs() < NEAR_EDGE_PX, parts / ((a - b) * (a - b)).max(1.0))
             };
-            isa.run(Surveying { strip, sketch, measure: across_step, mean: false, means: sorted });
+            isa.run(Surveying {
+                strip,
+                estimate,
+                measure: across_step,
+                mean: false,
+                means: sorted,
+            });
             sum += 0.5 * median(sorted).unwrap_or(0.0);
         }
         let (measured, expected) = (PI.sqrt() * sum / self.options.block_px, self.options.blur_px);
@@ -269,7 +287,13 @@ impl Photometric {
     }
 
     /// Linearises the model at `x` and eliminates the deviations of every block.
-    fn normal(&mut self, sketch: &Sketch, x: &Unknowns, scale: f64, iteration: usize) -> Normal {
+    fn normal(
+        &mut self,
+        estimate: &FingerEstimate,
+        x: &Unknowns,
+        scale: f64,
+        iteration: usize,
+    ) -> Normal {
         let mut normal = Normal {
             information: UnknownsInformation::zeros(),
             right: UnknownsVector::zeros(),
@@ -278,7 +302,7 @@ impl Photometric {
         let weighing = Weighing { noise_grey: scale, cutoff: self.options.cutoff };
         for (index, flank) in self.flanks.iter_mut().enumerate() {
             let end_px = x.end_px(index);
-            let end = sketch
+            let end = estimate
                 .end_radius_px()
                 .map(|radius| RoundEnd { middle: end_px as f32, radius: radius as f32 });
             let mut equations = FlankEquations::default();
@@ -286,7 +310,7 @@ impl Photometric {
             self.isa.run(Linearising {
                 flank,
                 index,
-                sketch,
+                estimate,
                 x,
                 end,
                 // Below this abscissa the round end affects no pixel of a block.
@@ -309,12 +333,12 @@ impl Photometric {
     }
 
     /// Updates the block deviations after a step of the unknowns.
-    fn follow(&mut self, sketch: &Sketch, step: &UnknownsVector, part: f64) {
+    fn follow(&mut self, estimate: &FingerEstimate, step: &UnknownsVector, part: f64) {
         let taken = step * part;
         for (index, flank) in self.flanks.iter_mut().enumerate() {
             let taken = FlankStep::of(&taken, index);
             for (group, deviations) in flank.strip.groups.iter().zip(&mut flank.deviations) {
-                let factors = Factors::at(&group.p, sketch.half_length_px);
+                let factors = Factors::at(&group.p, estimate.half_length_px);
                 deviations.follow(&taken.changes(&factors), part);
             }
         }
@@ -333,7 +357,7 @@ impl Photometric {
 
     fn report(
         &self,
-        sketch: &Sketch,
+        estimate: &FingerEstimate,
         x: &Unknowns,
         tally: &PixelSums,
         ending: &Ending,
@@ -348,10 +372,10 @@ impl Photometric {
             trusted: tally.block_weight / blocks as f64,
             residual_grey,
             contrast_grey: [0, 1]
-                .map(|f| self.flanks[f].strip.contrast_grey(x.shaded_contrast_grey(sketch, f))),
+                .map(|f| self.flanks[f].strip.contrast_grey(x.shaded_contrast_grey(estimate, f))),
             edge_px: [0, 1].map(|f| self.flanks[f].variances[EDGE_EFFECT].sqrt()),
             blur_px: x.blur_px(),
-            half_length_px: sketch.half_length_px,
+            half_length_px: estimate.half_length_px,
             bend_px: x.0[BEND],
             bend_sigma_px,
             iterations,

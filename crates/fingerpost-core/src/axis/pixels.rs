@@ -17,7 +17,7 @@
 )]
 
 use super::Stretch;
-use super::sketch::{SIDES, Sketch};
+use super::finger_estimate::{FingerEstimate, SIDES};
 use super::visible_flanks::VisibleFlank;
 use crate::axis::{KnownBackground, PhotometricOptions};
 use crate::image::gray::GrayView;
@@ -208,28 +208,28 @@ impl Strip {
         self.blocks.iter().map(|b| b.pixels).sum()
     }
 
-    /// Collects the pixels of a flank near the sketch, where the flank is visible.
+    /// Collects the pixels of a flank near the estimate, where the flank is visible.
     pub fn gather(
         &mut self,
         image: &GrayView<'_>,
         background: Option<&KnownBackground<'_>>,
         noise_grey: f64,
-        sketch: &Sketch,
+        estimate: &FingerEstimate,
         flank: &VisibleFlank<'_>,
         options: &PhotometricOptions,
     ) {
         let (visible, flank) = (flank, flank.index);
         let outer_px = if background.is_some() { options.known_outer_px } else { options.outer_px };
-        self.add_pixels(image, sketch, flank, [options.inner_px, outer_px], options);
-        self.divide(sketch.flanks[flank].from_px, options.block_px);
+        self.add_pixels(image, estimate, flank, [options.inner_px, outer_px], options);
+        self.divide(estimate.flanks[flank].from_px, options.block_px);
         if visible.is_partly_covered() {
             let Self { blocks, gathered, .. } = self;
             gathered.retain(|s| visible.is_visible(blocks[s.block].p));
         }
         if let Some(known) = background {
-            self.gather_background(image, known, sketch, flank);
+            self.gather_background(image, known, estimate, flank);
             self.background_light(noise_grey as f32);
-            self.attach_background(known, sketch.normal() * SIDES[flank]);
+            self.attach_background(known, estimate.normal() * SIDES[flank]);
         }
         self.group();
         self.fill();
@@ -240,16 +240,16 @@ impl Strip {
         &mut self,
         image: &GrayView<'_>,
         background: &KnownBackground<'_>,
-        sketch: &Sketch,
+        estimate: &FingerEstimate,
         flank: usize,
     ) {
-        let Stretch { from_px, to_px } = sketch.flanks[flank];
+        let Stretch { from_px, to_px } = estimate.flanks[flank];
         self.background_pixels.clear();
         let mut p = from_px;
         while p <= to_px {
             for outside_px in BACKGROUND_DISTANCE_PX {
-                let q = SIDES[flank] * (sketch.half_width_at(p) + f64::from(outside_px));
-                let place = sketch.place(p, q);
+                let q = SIDES[flank] * (estimate.half_width_at(p) + f64::from(outside_px));
+                let place = estimate.place(p, q);
                 if !image.contains(place.x, place.y, 0.0) {
                     continue;
                 }
@@ -302,12 +302,12 @@ impl Strip {
     fn add_pixels(
         &mut self,
         image: &GrayView<'_>,
-        sketch: &Sketch,
+        estimate: &FingerEstimate,
         flank: usize,
         [inner, outer]: [f64; 2],
         options: &PhotometricOptions,
     ) {
-        let Stretch { from_px, to_px } = sketch.flanks[flank];
+        let Stretch { from_px, to_px } = estimate.flanks[flank];
         let side = SIDES[flank];
         let per_block = options.block_px.recip();
         let Self { gathered, blocks, .. } = self;
@@ -332,21 +332,21 @@ impl Strip {
                 });
             }
         };
-        let straight_to = sketch.round_end_px.map_or(to_px, |e| to_px.min(e));
+        let straight_to = estimate.round_end_px.map_or(to_px, |e| to_px.min(e));
         if straight_to > from_px {
-            let [a, b] = [from_px, straight_to].map(|p| sketch.half_width_at(p));
+            let [a, b] = [from_px, straight_to].map(|p| estimate.half_width_at(p));
             let v = [(a.min(b) - inner).max(0.0), a.max(b) + outer];
             let band = StripBand { p: [from_px, straight_to], v };
-            band.scan(image, sketch, side, |pixel| {
-                add_pixels(pixel, pixel.v - sketch.half_width_at(pixel.p));
+            band.scan(image, estimate, side, |pixel| {
+                add_pixels(pixel, pixel.v - estimate.half_width_at(pixel.p));
             });
         }
-        if let (Some(end), Some(radius)) = (sketch.round_end_px, sketch.end_radius_px()) {
+        if let (Some(end), Some(radius)) = (estimate.round_end_px, estimate.end_radius_px()) {
             // The centre itself belongs to the straight part.
             let p = [from_px.max(end).next_up(), to_px.min(end + options.cap * radius)];
             if p[1] > p[0] {
                 let band = StripBand { p, v: [0.0, radius + outer] };
-                band.scan(image, sketch, side, |pixel| {
+                band.scan(image, estimate, side, |pixel| {
                     let (u, v) = (pixel.p - end, pixel.v);
                     add_pixels(pixel, (u * u + v * v).sqrt() - radius);
                 });
@@ -449,9 +449,15 @@ impl Strip {
 
 impl StripBand {
     /// Calls `at` with every pixel of the image in the band.
-    fn scan(&self, image: &GrayView<'_>, sketch: &Sketch, side: f64, mut at: impl FnMut(Pixel)) {
-        let (e, n, o) = (sketch.along, sketch.normal() * side, sketch.origin);
-        let corner = |p: f64, v: f64| sketch.place(p, side * v).y;
+    fn scan(
+        &self,
+        image: &GrayView<'_>,
+        estimate: &FingerEstimate,
+        side: f64,
+        mut at: impl FnMut(Pixel),
+    ) {
+        let (e, n, o) = (estimate.along, estimate.normal() * side, estimate.origin);
+        let corner = |p: f64, v: f64| estimate.place(p, side * v).y;
         let [p, v] = [self.p, self.v];
         let ys = [corner(p[0], v[0]), corner(p[0], v[1]), corner(p[1], v[0]), corner(p[1], v[1])];
         let top = ys.iter().copied().fold(f64::INFINITY, f64::min).ceil().max(0.0);

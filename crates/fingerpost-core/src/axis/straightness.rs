@@ -15,7 +15,7 @@
 
 use super::Stretch;
 use super::bisector::{Bisector, BisectorFit, STATION_PX};
-use super::sketch::Sketch;
+use super::finger_estimate::FingerEstimate;
 use super::visible_flanks::VisibleFlanks;
 use crate::Result;
 use crate::axis::{BisectorOptions, BisectorReport, Finger};
@@ -102,7 +102,7 @@ impl Straightness {
     /// The bend of the finger near the estimate `finger`; `None` if a half does not determine it.
     ///
     /// # Errors
-    /// Those of [`Sketch::of`], of either half.
+    /// Those of [`FingerEstimate::of`], of either half.
     pub fn bend(
         &mut self,
         frame: &Frame<'_>,
@@ -128,12 +128,12 @@ impl Straightness {
             let is_larger = |ahead: &Bend| ahead.angle_rad.abs() > along.angle_rad.abs();
             return Ok(Some(ahead.filter(is_larger).unwrap_or(along)));
         }
-        let from_px = -tip.sketch.half_length_px;
+        let from_px = -tip.estimate.half_length_px;
         for joint in JOINTS {
             let joint_px = from_px - joint * finger.half_width_px;
             let flanks = [BEHIND.map(|part| part * finger.half_width_px); 2]
                 .map(|[from_px, to_px]| Stretch { from_px, to_px });
-            if let Some(knuckle) = self.turned(&search, finger, &tip.sketch, joint_px, flanks)? {
+            if let Some(knuckle) = self.turned(&search, finger, &tip.estimate, joint_px, flanks)? {
                 return Ok(Some(bend(&knuckle, &tip)));
             }
         }
@@ -148,12 +148,13 @@ impl Straightness {
         finger: &Finger,
         tip: &BisectorFit,
     ) -> Result<Option<BisectorFit>> {
-        let (Some(end_px), Some(radius_px)) = (tip.sketch.round_end_px, tip.sketch.end_radius_px())
+        let (Some(end_px), Some(radius_px)) =
+            (tip.estimate.round_end_px, tip.estimate.end_radius_px())
         else {
             return Ok(None);
         };
         let [from_px, to_px] = AHEAD.map(|part| part * radius_px);
-        self.turned(search, finger, &tip.sketch, end_px, [Stretch { from_px, to_px }; 2])
+        self.turned(search, finger, &tip.estimate, end_px, [Stretch { from_px, to_px }; 2])
     }
 
     /// One of the halves. If the finger may be covered in part, enough of the half must be visible.
@@ -165,7 +166,7 @@ impl Straightness {
             return Ok(Some(found));
         }
         // Visibility is measured at the fitted half: a bent half lies away from the searched place.
-        let fitted = Sketch { prior: half.prior, ..found.sketch };
+        let fitted = FingerEstimate { prior: half.prior, ..found.estimate };
         self.visible.measure(search.frame, search.cue.appearance(), &fitted);
         Ok((self.visible.least_part() >= MIN_VISIBLE_PART).then_some(found))
     }
@@ -176,13 +177,13 @@ impl Straightness {
         &mut self,
         search: &HalfSearch<'_>,
         finger: &Finger,
-        other: &Sketch,
+        other: &FingerEstimate,
         joint_px: f64,
         flanks: [Stretch; 2],
     ) -> Result<Option<BisectorFit>> {
         let Some(appearance) = search.cue.appearance() else { return Ok(None) };
         let log_ratio =
-            |part: &Sketch| appearance.mean_log_ratio(search.frame, between_flanks(part));
+            |part: &FingerEstimate| appearance.mean_log_ratio(search.frame, between_flanks(part));
         let least = HAND_PART * log_ratio(other);
         let (joint, half_width_px) = (other.place(joint_px, 0.0), other.half_width_at(joint_px));
         if half_width_px <= 0.0 {
@@ -194,12 +195,12 @@ impl Straightness {
             let axis = Axis::of_finger(joint, angle_rad, 0.0);
             let (round_end_px, prior) = (None, None);
             let part = Finger { axis, half_width_px, flanks, round_end_px, prior, ..*finger };
-            let Some(sketch) = Sketch::of(&part)? else { continue };
-            if least <= 0.0 || log_ratio(&sketch) <= 0.0 {
+            let Some(estimate) = FingerEstimate::of(&part)? else { continue };
+            if least <= 0.0 || log_ratio(&estimate) <= 0.0 {
                 continue;
             }
             let found = self.part(search, &part)?;
-            if let Some(found) = found.filter(|found| log_ratio(&found.sketch) > least) {
+            if let Some(found) = found.filter(|found| log_ratio(&found.estimate) > least) {
                 return Ok(Some(found));
             }
         }
@@ -211,29 +212,29 @@ impl Straightness {
         if part.flanks.iter().any(|s| s.length_px() <= 0.0) {
             return Ok(None);
         }
-        let Some(sketch) = Sketch::of(part)? else { return Ok(None) };
+        let Some(estimate) = FingerEstimate::of(part)? else { return Ok(None) };
         let HalfSearch { frame, cue, polarity } = *search;
         let fit = self.bisector.fit(
             frame,
             cue,
             polarity,
             NOISE_GREY,
-            &sketch,
+            &estimate,
             &VisibleFlanks::default(),
         )?;
-        Ok(fit.filter(|fit| is_finger(&sketch, fit)))
+        Ok(fit.filter(|fit| is_finger(&estimate, fit)))
     }
 }
 
 /// The bend from the proximal part to the distal one.
 fn bend(knuckle: &BisectorFit, tip: &BisectorFit) -> Bend {
-    let (from, to) = (knuckle.sketch.along, tip.sketch.along);
+    let (from, to) = (knuckle.estimate.along, tip.estimate.along);
     let variance = knuckle.covariance[(1, 1)] + tip.covariance[(1, 1)];
     Bend { angle_rad: from.perp(&to).atan2(from.dot(&to)), sigma_rad: variance.sqrt() }
 }
 
 /// Sample points between the flanks.
-fn between_flanks(part: &Sketch) -> impl Iterator<Item = Point2<f64>> {
+fn between_flanks(part: &FingerEstimate) -> impl Iterator<Item = Point2<f64>> {
     let stations = (2.0 * part.half_length_px / STATION_PX) as usize;
     (0..=stations).flat_map(move |i| {
         let p = i as f64 * STATION_PX - part.half_length_px;
@@ -241,13 +242,13 @@ fn between_flanks(part: &Sketch) -> impl Iterator<Item = Point2<f64>> {
     })
 }
 
-/// Whether fitted flanks are those of a finger like the sketch.
-fn is_finger(sketch: &Sketch, fit: &BisectorFit) -> bool {
+/// Whether fitted flanks are those of a finger like the estimate.
+fn is_finger(estimate: &FingerEstimate, fit: &BisectorFit) -> bool {
     let BisectorReport { edges, rejected, residual_px } = fit.report;
-    let places: f64 = sketch.flanks.iter().map(|s| s.length_px() / STATION_PX).sum();
-    let width = fit.sketch.half_width_px / sketch.half_width_px;
+    let places: f64 = estimate.flanks.iter().map(|s| s.length_px() / STATION_PX).sum();
+    let width = fit.estimate.half_width_px / estimate.half_width_px;
     edges as f64 >= SEEN * places
         && rejected <= REJECTED
-        && residual_px <= SCATTER_PX.max(SCATTER * sketch.half_width_px)
+        && residual_px <= SCATTER_PX.max(SCATTER * estimate.half_width_px)
         && (1.0 / WIDTH..=WIDTH).contains(&width)
 }

@@ -5,10 +5,10 @@
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
 
+use super::finger_estimate::{FingerEstimate, FlankLines, SIDES};
 use super::gram::GramEquations;
 use super::pixels::{Doubles, LANES, total};
 use super::profile::{COLUMNS, EDGE, INSIDE, OUTSIDE, Profile, RAMP, RIGHT};
-use super::sketch::{FlankLines, SIDES, Sketch};
 use crate::axis::{PhotometricOptions, profile};
 use crate::numeric::simd::each;
 use nalgebra::{SMatrix, SVector};
@@ -37,7 +37,7 @@ pub(super) const UNKNOWNS: usize = FLANKS + 2 * PER_FLANK;
 pub(super) type UnknownsVector = SVector<f64, UNKNOWNS>;
 pub(super) type UnknownsInformation = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// Prior standard deviations about the sketch: offset and half-width \[px\], slope and taper, blur
+/// Prior standard deviations about the estimate: offset and half-width \[px\], slope and taper, blur
 /// \[px\] and centre of the round end \[px\].
 const LINE_SIGMA_PX: f64 = 3.0;
 const WIDTH_SIGMA_PX: f64 = 2.0;
@@ -118,13 +118,13 @@ impl Factors {
 }
 
 impl Unknowns {
-    /// Initial values: the sketch, with the given inside and background level of either flank.
-    pub fn on(sketch: &Sketch, levels: [[f64; 2]; 2], blur_px: f64) -> Self {
+    /// Initial values: the estimate, with the given inside and background level of either flank.
+    pub fn on(estimate: &FingerEstimate, levels: [[f64; 2]; 2], blur_px: f64) -> Self {
         let mut x = UnknownsVector::zeros();
-        x[HALF_WIDTH] = sketch.half_width_px;
-        x[TAPER] = sketch.taper;
+        x[HALF_WIDTH] = estimate.half_width_px;
+        x[TAPER] = estimate.taper;
         x[BLUR] = blur_px;
-        x[END] = sketch.round_end_px.unwrap_or(0.0);
+        x[END] = estimate.round_end_px.unwrap_or(0.0);
         for (flank, [inside, outside]) in levels.into_iter().enumerate() {
             x[FLANKS + flank * PER_FLANK] = inside;
             x[FLANKS + flank * PER_FLANK + 1] = outside;
@@ -157,8 +157,8 @@ impl Unknowns {
     }
 
     /// Contrast at a flank, finger minus background, [`SHADED_PX`] inside the edge \[grey levels\].
-    pub fn shaded_contrast_grey(&self, sketch: &Sketch, flank: usize) -> f64 {
-        let depth = SHADED_PX / sketch.half_width_px;
+    pub fn shaded_contrast_grey(&self, estimate: &FingerEstimate, flank: usize) -> f64 {
+        let depth = SHADED_PX / estimate.half_width_px;
         let first = FLANKS + flank * PER_FLANK;
         self.contrast_grey(flank)
             + self.0[first + 2] * depth
@@ -170,13 +170,13 @@ impl Unknowns {
     #[inline(always)]
     pub fn profile(
         &self,
-        sketch: &Sketch,
+        estimate: &FingerEstimate,
         flank: usize,
         p: &Doubles,
         effects: &[Doubles; 3],
     ) -> Profile {
         let x = &self.0;
-        let h = sketch.half_length_px;
+        let h = estimate.half_length_px;
         let edge = |k: usize| SIDES[flank] * x[OFFSET + k] + x[HALF_WIDTH + k];
         let of_flank = |k: usize| x[FLANKS + flank * PER_FLANK + k];
         // e₀ + e₁ p + e₂ P₂, in powers of p.
@@ -192,7 +192,7 @@ impl Unknowns {
             outside_change: (x[OUTSIDE_CHANGE] / h) as f32,
             ramp: of_flank(2) as f32,
             limb: of_flank(3) as f32,
-            half_width: each(|i| sketch.half_width_at(p[i]) as f32),
+            half_width: each(|i| estimate.half_width_at(p[i]) as f32),
         }
     }
 
@@ -247,7 +247,7 @@ impl UnknownsPrior {
     /// [`WidthPrior`](crate::axis::WidthPrior).
     pub fn about(
         start: &Unknowns,
-        sketch: &Sketch,
+        estimate: &FingerEstimate,
         contrast_grey: f64,
         options: &PhotometricOptions,
     ) -> Self {
@@ -258,12 +258,12 @@ impl UnknownsPrior {
         (sigma[HALF_WIDTH], sigma[TAPER]) = (WIDTH_SIGMA_PX, SLOPE_SIGMA);
         (sigma[BEND], sigma[BULGE]) = (*bend_px, *bend_px);
         (sigma[BLUR], sigma[END]) = (BLUR_SIGMA_PX, END_SIGMA_PX);
-        sigma[END_SKEW] = END_SKEW_SIGMA * sketch.half_width_px;
+        sigma[END_SKEW] = END_SKEW_SIGMA * estimate.half_width_px;
         (sigma[INSIDE_CHANGE], sigma[OUTSIDE_CHANGE]) = (change * contrast, change * contrast);
         for first in [FLANKS, FLANKS + PER_FLANK] {
             (sigma[first + 2], sigma[first + 3]) = (ramp * contrast, limb * contrast);
         }
-        if let Some(prior) = sketch.prior {
+        if let Some(prior) = estimate.prior {
             (mean[HALF_WIDTH], mean[TAPER]) = (prior.half_width_px, prior.taper);
             (sigma[HALF_WIDTH], sigma[TAPER]) = (prior.half_width_sigma_px, prior.taper_sigma);
         }

@@ -4,7 +4,7 @@
 //! Where a flank is visible, the pixels inside resemble the hand and those outside the background.
 //! All other places are left out, with a margin.
 
-use super::sketch::{SIDES, Sketch};
+use super::finger_estimate::{FingerEstimate, SIDES};
 use crate::appearance::histogram::HistogramModel;
 use crate::image::frame::Frame;
 
@@ -13,7 +13,7 @@ const STEP_PX: f64 = 1.0;
 /// Margin about a covered place \[px\]: a block of pixels, and the reach of the edge kernels.
 const MARGIN_PX: f64 = 3.0;
 
-/// The covered places along the flanks of a sketch.
+/// The covered places along the flanks of an estimate.
 #[derive(Debug, Clone, Default)]
 pub(super) struct VisibleFlanks {
     /// The tested places that are covered, in p.
@@ -31,27 +31,27 @@ pub(super) struct VisibleFlank<'a> {
 }
 
 impl VisibleFlanks {
-    /// Tests the flanks of a sketch, if its finger may be covered; otherwise all of it counts as
+    /// Tests the flanks of an estimate, if its finger may be covered; otherwise all of it counts as
     /// visible.
     pub fn measure(
         &mut self,
         frame: &Frame<'_>,
         appearance: Option<&HistogramModel>,
-        sketch: &Sketch,
+        estimate: &FingerEstimate,
     ) {
         self.covered.iter_mut().for_each(Vec::clear);
         self.tested = [0; 2];
-        let Some(appearance) = appearance.filter(|_| sketch.prior.is_some()) else { return };
-        let (e, n) = (sketch.along, sketch.normal());
+        let Some(appearance) = appearance.filter(|_| estimate.prior.is_some()) else { return };
+        let (e, n) = (estimate.along, estimate.normal());
         let flanks = self.covered.iter_mut().zip(&mut self.tested);
-        for (((covered, count), side), flank) in flanks.zip(SIDES).zip(sketch.flanks) {
+        for (((covered, count), side), flank) in flanks.zip(SIDES).zip(estimate.flanks) {
             let mut p = flank.from_px;
             while p <= flank.to_px {
-                let into_end = sketch.round_end_px.map_or(0.0, |end| (p - end).max(0.0));
-                let radius = sketch.half_width_at(p - into_end);
+                let into_end = estimate.round_end_px.map_or(0.0, |end| (p - end).max(0.0));
+                let radius = estimate.half_width_at(p - into_end);
                 let across = (radius * radius - into_end * into_end).max(0.0).sqrt();
                 let normal = (e * into_end + n * (side * across)) / radius;
-                if !appearance.matches_edge(frame, sketch.place(p, side * across), normal) {
+                if !appearance.matches_edge(frame, estimate.place(p, side * across), normal) {
                     covered.push(p);
                 }
                 *count += 1;

@@ -3,10 +3,10 @@
 use super::flank::PhotometricFlank;
 use crate::axis::block::{Deviations, EDGE_EFFECT, Evidence};
 use crate::axis::blur::BlurTable;
+use crate::axis::finger_estimate::FingerEstimate;
 use crate::axis::gram::{Gram, Weighing};
 use crate::axis::pixels::{Doubles, LANES, PixelLanes, Strip, total};
 use crate::axis::profile::RoundEnd;
-use crate::axis::sketch::Sketch;
 use crate::axis::unknowns::{Factors, FlankEquations, Unknowns};
 use crate::numeric::simd::{Work, each};
 
@@ -19,7 +19,7 @@ const MOST_CHI_SQUARED: f64 = 1.5;
 pub(super) struct Linearising<'a> {
     pub(super) flank: &'a mut PhotometricFlank,
     pub(super) index: usize,
-    pub(super) sketch: &'a Sketch,
+    pub(super) estimate: &'a FingerEstimate,
     pub(super) x: &'a Unknowns,
     pub(super) end: Option<RoundEnd>,
     pub(super) clear_px: f64,
@@ -36,11 +36,11 @@ pub(super) struct Linearising<'a> {
 impl Work for Linearising<'_> {
     #[inline(always)]
     fn run(self) {
-        let Self { flank, index, sketch, x, end, clear_px, table, weighing, .. } = self;
+        let Self { flank, index, estimate, x, end, clear_px, table, weighing, .. } = self;
         let PhotometricFlank { strip, deviations, weighed, gram, variances, runs_px2, .. } = flank;
         let noise2 = weighing.noise_grey * weighing.noise_grey;
         for (group, deviations) in strip.groups.iter().zip(deviations) {
-            let profile = x.profile(sketch, index, &group.p, &deviations.effects);
+            let profile = x.profile(estimate, index, &group.p, &deviations.effects);
             // The last block is the one nearest to the end.
             let end = end.filter(|_| group.p[LANES - 1] > clear_px);
             gram.take(strip.chunks(group), &profile, end, table, &weighing, weighed);
@@ -52,7 +52,7 @@ impl Work for Linearising<'_> {
             let of_edge = variances[EDGE_EFFECT];
             variances[EDGE_EFFECT] = each(|i| of_edge[i] + *runs_px2 + deviations.restless_px2[i]);
             deviations.eliminate(gram, group, &variances, noise2, self.evidence);
-            let factors = Factors::at(&group.p, sketch.half_length_px);
+            let factors = Factors::at(&group.p, estimate.half_length_px);
             self.equations.add(&deviations.block_weight, &factors, &gram.equations);
             self.tally.add(deviations, gram);
         }
@@ -62,8 +62,8 @@ impl Work for Linearising<'_> {
 /// A statistic of every block of a flank.
 pub(super) struct Surveying<'a, F> {
     pub(super) strip: &'a Strip,
-    pub(super) sketch: &'a Sketch,
-    /// From a pixel's distance outside the sketch's edge \[px\], its level and that of the known
+    pub(super) estimate: &'a FingerEstimate,
+    /// From a pixel's distance outside the estimate's edge \[px\], its level and that of the known
     /// background behind it: whether it counts, and its value.
     pub(super) measure: F,
     /// Whether a block's statistic is the mean of its pixels' values, or the sum.
@@ -75,10 +75,10 @@ pub(super) struct Surveying<'a, F> {
 impl<F: Fn(f32, f32, f32) -> (bool, f32)> Work for Surveying<'_, F> {
     #[inline(always)]
     fn run(self) {
-        let Self { strip, sketch, measure, mean, means } = self;
+        let Self { strip, estimate, measure, mean, means } = self;
         means.clear();
         for group in &strip.groups {
-            let edge: PixelLanes = each(|i| sketch.half_width_at(group.p[i]) as f32);
+            let edge: PixelLanes = each(|i| estimate.half_width_at(group.p[i]) as f32);
             let (mut sums, mut counts) = ([0.0_f32; LANES], [0.0_f32; LANES]);
             for chunk in strip.chunks(group) {
                 for i in 0..LANES {

@@ -12,7 +12,7 @@ pub(super) const SIDES: [f64; 2] = [1.0, -1.0];
 
 /// Estimate of the finger.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sketch {
+pub(super) struct FingerEstimate {
     /// The point p = q = 0.
     pub origin: Point2<f64>,
     /// Unit vector of p.
@@ -26,14 +26,14 @@ pub(super) struct Sketch {
     pub round_end_px: Option<f64>,
     /// Half the length of finger in use \[px\], positive.
     pub half_length_px: f64,
-    /// p of the anchor and of the tip of the axis that the sketch was made from.
+    /// p of the anchor and of the tip of the axis that the estimate was made from.
     pub anchor_px: f64,
     pub tip_px: f64,
     /// The prior of a finger that may be covered, at p = 0.
     pub prior: Option<WidthPrior>,
 }
 
-impl Sketch {
+impl FingerEstimate {
     /// The finger in its own frame; `None` if neither flank has a stretch in use or the taper
     /// closes the finger within it.
     ///
@@ -70,7 +70,7 @@ impl Sketch {
         })?;
         let (along, middle) = (axis.direction(), 0.5 * (from + to));
         let shift = |s: &Stretch| s.beside(middle);
-        let sketch = Self {
+        let estimate = Self {
             origin: axis.anchor + along * middle,
             along,
             half_width_px: half_width_px + taper * middle,
@@ -87,8 +87,8 @@ impl Sketch {
             }),
         };
         // A taper that closes the finger within the stretch describes no finger.
-        let ends = [-sketch.half_length_px, sketch.half_length_px];
-        Ok(ends.iter().all(|&p| sketch.half_width_at(p) > 0.0).then_some(sketch))
+        let ends = [-estimate.half_length_px, estimate.half_length_px];
+        Ok(ends.iter().all(|&p| estimate.half_width_at(p) > 0.0).then_some(estimate))
     }
 
     /// Unit vector of q.
@@ -110,7 +110,7 @@ impl Sketch {
         self.round_end_px.map(|e| self.half_width_at(e))
     }
 
-    /// The sketch moved onto a line and a width given in its frame.
+    /// The estimate moved onto a line and a width given in its frame.
     pub fn moved(&self, line: &FlankLines) -> Self {
         let along = (self.along + self.normal() * line.slope).normalize();
         let origin = self.origin + self.normal() * line.offset_px;
@@ -119,7 +119,7 @@ impl Sketch {
     }
 }
 
-/// The two flanks q = d + ϑ p ± (w₀ + w₁ p) in the frame of a sketch.
+/// The two flanks q = d + ϑ p ± (w₀ + w₁ p) in the frame of an estimate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct FlankLines {
     /// d \[px\] and ϑ \[rad\] of the bisector.
