@@ -190,8 +190,9 @@ impl Bisector {
         Ok(())
     }
 
-    /// The step from `at` by the edge measurements and the finger's prior about the estimate. Without
-    /// a prior, a term about `at` damps the step instead, and does not pull the line to the estimate.
+    /// The step from `at` by the edge measurements and the finger's prior about the estimate.
+    /// Without a prior, a term about `at` damps the step instead, and does not pull the line to the
+    /// estimate.
     fn solve(
         &mut self,
         at: &FingerEstimate,

@@ -50,8 +50,8 @@ use crate::numeric::simd::Isa;
 use nalgebra::{Cholesky, Const, Matrix2, Matrix4, Vector2};
 use std::f64::consts::PI;
 
-/// Residual scale of the first iteration as a fraction of the contrast: the estimate is a fraction of
-/// a px off.
+/// Residual scale of the first iteration as a fraction of the contrast: the estimate is a fraction
+/// of a px off.
 const FIRST_SCALE: f64 = 0.1;
 /// Lower bound on the residual scale, as a fraction of the image noise: a few pixels that agree by
 /// chance must not set it.
@@ -259,9 +259,9 @@ impl Photometric {
         Some(Unknowns::on(estimate, levels, blur_px))
     }
 
-    /// Blur at the estimate's edge, for given levels a and b of either flank, by the median over its
-    /// blocks \[px\]. For a blurred step, n = (I − b) / (a − b) satisfies ∫ n (1 − n) dy = s / √π.
-    /// Pixels outside the range of the two levels contribute zero.
+    /// Blur at the estimate's edge, for given levels a and b of either flank, by the median over
+    /// its blocks \[px\]. For a blurred step, n = (I − b) / (a − b) satisfies
+    /// ∫ n (1 − n) dy = s / √π. Pixels outside the range of the two levels contribute zero.
     fn edge_blur_px(&mut self, estimate: &FingerEstimate, levels: &[[f64; 2]; 2]) -> f64 {
         let Self { isa, flanks, sorted, .. } = self;
         let mut sum = 0.0;

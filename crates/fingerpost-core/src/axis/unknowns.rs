@@ -37,8 +37,8 @@ pub(super) const UNKNOWNS: usize = FLANKS + 2 * PER_FLANK;
 pub(super) type UnknownsVector = SVector<f64, UNKNOWNS>;
 pub(super) type UnknownsInformation = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// Prior standard deviations about the estimate: offset and half-width \[px\], slope and taper, blur
-/// \[px\] and centre of the round end \[px\].
+/// Prior standard deviations about the estimate: offset and half-width \[px\], slope and taper,
+/// blur \[px\] and centre of the round end \[px\].
 const LINE_SIGMA_PX: f64 = 3.0;
 const WIDTH_SIGMA_PX: f64 = 2.0;
 const SLOPE_SIGMA: f64 = 0.1;

@@ -141,8 +141,8 @@ const UNSEEN_LENGTH: f64 = 7.0;
 /// Length of the flanks along which their strength and their surroundings are measured
 /// \[half-widths\].
 const FLANK_HALF_WIDTHS: f64 = 2.6;
-/// Distance from the axis, or from the centre of the round end, at which the surroundings begin, and
-/// spacing of the places there \[half-widths\]: the blur of the outline lies in between.
+/// Distance from the axis, or from the centre of the round end, at which the surroundings begin,
+/// and spacing of the places there \[half-widths\]: the blur of the outline lies in between.
 const SURROUNDINGS_FROM: f64 = 1.35;
 const SURROUNDINGS_SPACING: f64 = 0.16;
 /// Likeness of a band without contrast to its surroundings, and its increase with the least and

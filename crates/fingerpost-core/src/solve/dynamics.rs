@@ -187,9 +187,10 @@ impl<const D: usize> Dynamics<D> {
         &self.state.v
     }
 
-    /// The filter after a shape vector whose innovation is improbable. Either the velocity has changed from the given
-    /// one to the present one, or the previous measurement was wrong. The two hypotheses are
-    /// equally likely and are merged into the Gaussian of their mean and covariance.
+    /// The filter after a shape vector whose innovation is improbable. Either the velocity has
+    /// changed from the given one to the present one, or the previous measurement was wrong. The
+    /// two hypotheses are equally likely and are merged into the Gaussian of their mean and
+    /// covariance.
     #[must_use]
     pub fn with_velocity_reset(mut self, velocity_before: &SVector<f64, D>) -> Self {
         let half = (self.state.v - velocity_before) * 0.5;

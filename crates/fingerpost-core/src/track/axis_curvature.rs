@@ -10,14 +10,14 @@
 //! not as long as a detected one.
 //!
 //! Therefore all lines of a hand are reported for one segment, the distal one that points
-//! ([`FRONT_SEGMENT`]). They are measured on the whole finger, because the angle of a short segment is
-//! imprecise, and extrapolated to the front by the curvature measured from the pixels
+//! ([`FRONT_SEGMENT`]). They are measured on the whole finger, because the angle of a short segment
+//! is imprecise, and extrapolated to the front by the curvature measured from the pixels
 //! ([`PhotometricReport::bend_px`]), weighted by the part of it that is reliable
 //! ([`HALF_RELIABLE_CONTRAST_RATIO`]); at weight 0 the line stays that of the whole finger
-//! ([`WHOLE_FINGER_SEGMENT`]). A finger is not
-//! a parabola at its knuckle: if its bend turns the line by more than the noise does, the pixels of
-//! the front are measured alone, and the difference of their line from that of the whole
-//! ([`FrontLine`]) replaces most of the curvature's correction.
+//! ([`WHOLE_FINGER_SEGMENT`]). A finger is not a parabola at its knuckle: if its bend turns the
+//! line by more than the noise does, the pixels of the front are measured alone, and the difference
+//! of their line from that of the whole ([`FrontLine`]) replaces most of the curvature's
+//! correction.
 //!
 //! The far end of the front is given in half-widths, because a view does not foreshorten the width,
 //! times the foreshortening of the length. Each line carries the segment it is finally reported for
@@ -70,35 +70,36 @@ const FRONT_SEGMENT: AxisSegment =
 /// The whole finger except its round end.
 const WHOLE_FINGER_SEGMENT: AxisSegment =
     AxisSegment { near_half_widths: 0.3, far_half_widths: 8.8, max_shift_part: 0.15 };
-/// Contrast-to-scatter ratio of the fainter flank at which half of the measured bend is
-/// reliable. On a flank of low contrast, shading displaces the edge; it bends the medial line
-/// as a joint does, and averaging frames does not reduce it. The part of the bend by which the line
-/// is moved from the whole to the front is 1 / (1 + (this / ratio)⁴): nearly 1 at twice this ratio,
-/// hardly more than 0 at half of it. Without colours a shade resembles an edge, and the part is 0.
+/// Contrast-to-scatter ratio of the fainter flank at which half of the measured bend is reliable.
+/// On a flank of low contrast, shading displaces the edge; it bends the medial line as a joint
+/// does, and averaging frames does not reduce it. The part of the bend by which the line is moved
+/// from the whole to the front is 1 / (1 + (this / ratio)⁴): nearly 1 at twice this ratio, hardly
+/// more than 0 at half of it. Without colours a shade resembles an edge, and the part is 0.
 const HALF_RELIABLE_CONTRAST_RATIO: f64 = 14.0;
 /// Error of the parabola's turn of the line, as a multiple of that turn. A parabola models a finger
 /// with a knuckle at its end badly: on two rendered hands, half and a fifth of the true bend were
 /// measured. If this error exceeds the noise of the front segment alone, the front is measured
-/// separately, provided that the turn exceeds [`LEAST_TURN_RAD`] \[rad\] and the reliable part of the
-/// bend exceeds [`MIN_RELIABLE_PART`].
+/// separately, provided that the turn exceeds [`LEAST_TURN_RAD`] \[rad\] and the reliable part of
+/// the bend exceeds [`MIN_RELIABLE_PART`].
 const OFF_BY: f64 = 2.0;
 const LEAST_TURN_RAD: f64 = 0.0035;
 const MIN_RELIABLE_PART: f64 = 0.4;
 /// Standard deviation of the bias of a line at its anchor, as a part of the bend; at either end it
 /// is twice as large ([`FingerLine::with_relative_bias`]). As an angle, √3 times this over the
-/// half-length, it is the spread of lines through segments whose middles scatter by 0.18 half-lengths. On 38 films of
-/// rendered hands the 95 % ellipses then hold 91 % of the points by the exact medial lines; 87 % if
-/// the filter over frames may average the bias away.
+/// half-length, it is the spread of lines through segments whose middles scatter by 0.18
+/// half-lengths. On 38 films of rendered hands the 95 % ellipses then hold 91 % of the points by
+/// the exact medial lines; 87 % if the filter over frames may average the bias away.
 const BEND_BIAS: f64 = 0.32;
 /// Standard deviation of the bias of a line at its anchor due to a flank of low contrast, as a part
-/// of the half-length; at either end it is twice as large. Background and shade displace such an edge along its whole length, so the
-/// line is biased without appearing bent. On 38 films of rendered hands, lines were turned by 0.7
-/// to 0.8° more than noise and bend allow where the contrast of the fainter flank is less than
-/// [`FAINT`] times the scatter of its pixels beyond the image's noise, and by no more where it is
-/// greater. The bias is weighted by 1 − 1 / (1 + (`FAINT` / ratio)⁸): half at that ratio, 4 % at
-/// 1.5 times it, all but 4 % at two thirds of it. Image noise turns lines as well, but is part of
-/// their covariance. The 95 % ellipses then hold 96 % of the points of hands whose initial pose was
-/// given and 95 % of those that were detected; 93 and 87 % without.
+/// of the half-length; at either end it is twice as large. Background and shade displace such an
+/// edge along its whole length, so the line is biased without appearing bent. On 38 films of
+/// rendered hands, lines were turned by 0.7 to 0.8° more than noise and bend allow where the
+/// contrast of the fainter flank is less than [`FAINT`] times the scatter of its pixels beyond the
+/// image's noise, and by no more where it is greater. The bias is weighted by 1 − 1 / (1 + (`FAINT` /
+/// ratio)⁸): half at that ratio, 4 % at 1.5 times it, all but 4 % at two thirds of it. Image noise
+/// turns lines as well, but is part of their covariance. The 95 % ellipses then hold 96 % of the
+/// points of hands whose initial pose was given and 95 % of those that were detected; 93 and 87 %
+/// without.
 const FAINT_FLANK_BIAS: f64 = 0.007;
 const FAINT: f64 = 23.0;
 /// Upper confidence factor of the noise variance, which is estimated from the few pixels of a
@@ -205,9 +206,9 @@ impl AxisCurvature {
         (is_bent && (OFF_BY * turn_rad).powi(2) > noise_rad2).then_some(far_px)
     }
 
-    /// The line of a finger, moved from the segment of the whole towards the front by the
-    /// reliable part of the bend. With a separate measurement of the front, that supplies
-    /// most of the motion, and the curvature the rest.
+    /// The line of a finger, moved from the segment of the whole towards the front by the reliable
+    /// part of the bend. With a separate measurement of the front, that supplies most of the
+    /// motion, and the curvature the rest.
     pub fn at_front(
         &mut self,
         line: FingerLine,

@@ -31,9 +31,9 @@ const MAX_REMAINING_STEPS: f64 = 3.0;
 /// [`MIN_HALF_LENGTH_PX`]: only a few samples at the tip determine how far the finger has slid
 /// along itself, and must keep their weight.
 const FAR_SCALE: f64 = 0.2;
-/// Least robust weight of an edge by which appearance, separation and sharpness are measured. It
-/// exceeds that of an inlier of the fit, 0.1: an edge with a smaller weight lies so far from the
-/// contour that the pixels beside it may be on the other side.
+/// Least robust weight of an edge by which appearance, separation and sharpness are measured. It is
+/// stricter than that of an inlier of the fit, 0.1, which is only counted: the pixels beside these
+/// edges are taken for those of the hand and of its background.
 const LEARNED_MIN_WEIGHT: f64 = 0.5;
 /// Sharpness of a flank: the grey-level difference across its edges at these distances to either
 /// side, relative to that at [`ABOUT_EDGE_PX`] \[px\].

@@ -18,9 +18,9 @@ const LEVELS: std::ops::RangeInclusive<u8> = 12..=243;
 /// Least part of the grid's pixels with usable levels.
 const ENOUGH: f64 = 0.25;
 
-/// The image brightness of the reference frame: the first one, and after a change of light the frame
-/// in which it was noticed. Learning does not replace it: colours that were learned while the light
-/// drifted within the limit are adapted by the ratio to the reference as well.
+/// The image brightness of the reference frame: the first one, and after a change of light the
+/// frame in which it was noticed. Learning does not replace it: colours that were learned while the
+/// light drifted within the limit are adapted by the ratio to the reference as well.
 #[derive(Debug, Clone)]
 pub(super) struct Exposure {
     size: (usize, usize),

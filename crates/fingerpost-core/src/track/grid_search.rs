@@ -5,8 +5,8 @@
 //! and few others. A hand that rotated between two frames may be out of its range, however long the
 //! lines are, but its pixels still have high log-likelihood ratios. The poses of the grid are
 //! scored by the log-likelihood ratios on either side of the contour. They are at most [`SPACING`]
-//! half-widths apart, or 1 / [`MOST_STEPS`] of the range if that is more, which bounds the run time.
-//! This is too coarse to fit the contour and fine enough to initialise the fit.
+//! half-widths apart, or 1 / [`MOST_STEPS`] of the range if that is more, which bounds the run
+//! time. This is too coarse to fit the contour and fine enough to initialise the fit.
 
 use crate::appearance::histogram::HistogramModel;
 use crate::geometry::shape_space::PlacedSample;

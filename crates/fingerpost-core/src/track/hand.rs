@@ -25,8 +25,8 @@ const USUAL_TIMES: f64 = 2.0;
 const USUAL_LEAST_PX: f64 = 0.2;
 /// Rate at which the usual scale follows, per frame.
 const USUAL_RATE: f64 = 0.1;
-/// Distance from the fit within which an edge that matches the appearance model counts, in units of the largest scale
-/// of its residual offsets.
+/// Distance from the fit within which an edge that matches the appearance model counts, in units of
+/// the largest scale of its residual offsets.
 const MATCHED_WITHIN_SCALES: f64 = 1.5;
 /// Prior standard deviation of the dimensions of a covered hand, relative to that of a hand seen
 /// whole. From one frame to the next a hand of constant size hardly changes.

@@ -526,8 +526,8 @@ impl TemplateInitialiser<'_> {
         self.bands::<RIBBON_DOF>(convergence, scene, from, from, half_length_px, polarity)
     }
 
-    /// Fits the first `D` components of the band template's shape vector, from `x`; `prior_mean`
-    /// is the mean of the prior. For `D` up to 5 only the finger is fitted, and no thumb hides any of
+    /// Fits the first `D` components of the band template's shape vector, from `x`; `prior_mean` is
+    /// the mean of the prior. For `D` up to 5 only the finger is fitted, and no thumb hides any of
     /// it.
     fn bands<const D: usize>(
         &self,

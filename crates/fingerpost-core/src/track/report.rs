@@ -38,14 +38,14 @@ const CAP: f64 = 0.7;
 const SHARP_PX: f64 = 1.5;
 
 /// Period of learning the appearance of a hand that stays in place, in frames; one frame then
-/// counts as often. A hand that has moved by more than [`RELEARN_MIN_MOTION_HALF_WIDTHS`] is learned
-/// at once: it is before another background, and its image is blurred by motion.
+/// counts as often. A hand that has moved by more than [`RELEARN_MIN_MOTION_HALF_WIDTHS`] is
+/// learned at once: it is before another background, and its image is blurred by motion.
 const LEARNING_PERIOD_FRAMES: usize = 3;
 const RELEARN_MIN_MOTION_HALF_WIDTHS: f64 = 0.5;
 
 /// Standard deviation of the bias of the line of a contour with a shaded flank, at its anchor
-/// \[px\]; at either end it is twice as large. The shaded flank is measured from colours alone, which
-/// a camera records at half the resolution, and the lit one from grey levels.
+/// \[px\]; at either end it is twice as large. The shaded flank is measured from colours alone,
+/// which a camera records at half the resolution, and the lit one from grey levels.
 const SHADED_PX: f64 = 0.6;
 
 /// Part of a finger's flanks that is used.
@@ -323,8 +323,8 @@ impl ContourTracker {
         )
     }
 
-    /// Learns the hand's appearance from an accepted fit, every [`LEARNING_PERIOD_FRAMES`] frames. If the
-    /// fit was not found by appearance, the light has changed: the model is replaced.
+    /// Learns the hand's appearance from an accepted fit, every [`LEARNING_PERIOD_FRAMES`] frames.
+    /// If the fit was not found by appearance, the light has changed: the model is replaced.
     pub(super) fn update_appearance(&mut self, scene: &Scene<'_>, found: &FitResult) -> Result<()> {
         let is_relit =
             self.hand.is_shown_in(scene) && found.fit.is_some_and(|fit| !fit.by_appearance);

@@ -10,9 +10,9 @@ pub(super) const MIN_SEPARATION: f64 = 1.3;
 pub(super) const MIN_SEPARATION_OF_FOREGROUND: f64 = 0.7;
 
 /// The same for a finger that explains at least the fraction [`NEARLY_ALL_EXPLAINED`] of its
-/// contour. Skin before wood of its brightness has 0.4 to 0.6. Of 1560 templates beside the hands of 13 films this
-/// accepts 2 more as fingers (113 in all); of 480 near the hands of 15 films it finds 13 more
-/// (438).
+/// contour. Skin before wood of its brightness has 0.4 to 0.6. Of 1560 templates beside the hands
+/// of 13 films this accepts 2 more as fingers (113 in all); of 480 near the hands of 15 films it
+/// finds 13 more (438).
 pub(super) const MIN_SEPARATION_IF_EXPLAINED: f64 = 0.4;
 /// Least explained fraction of the contour for [`MIN_SEPARATION_IF_EXPLAINED`].
 pub(super) const NEARLY_ALL_EXPLAINED: f64 = 0.7;

@@ -1,8 +1,8 @@
 //! Variance of unit weight of a sequence of comparisons.
 //!
 //! A covariance accounts for the errors that scatter within one image. Others show where two
-//! estimates are compared: if their covariances are right, χ² per degree of freedom is 1 on average.
-//! Where it is more, all covariances are scaled by it, as in any least-squares adjustment.
+//! estimates are compared: if their covariances are right, χ² per degree of freedom is 1 on
+//! average. Where it is more, all covariances are scaled by it, as in any least-squares adjustment.
 
 use super::running_mean::RunningMean;
 
