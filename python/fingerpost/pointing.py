@@ -716,9 +716,11 @@ def align(
     interpolated linearly. The nearest frame is no substitute: at 0.5 m/s and 20 ms it is wrong by
     some 17 mm. Nothing is extrapolated.
 
-    The measurement errors of the lines are independent, so their covariances add with squared
-    weights: halfway between two lines the covariance is smaller. The deviation of the hand's motion
-    from the curve is not included.
+    The measurement errors of the lines are taken to be independent, so their covariances add with
+    squared weights: halfway between two lines the variance is 0.72 of theirs by the parabola, 0.5
+    by the straight line. Of a hand held still in rendered frames it is 0.88 and 0.78, for a part of
+    the error does not change from frame to frame. The deviation of the hand's motion from the curve
+    is not included.
 
     Parameters
     ----------
@@ -776,8 +778,8 @@ _MAX_TURN_RAD = np.pi / 2
 
 
 def _turn(before: FingerLine, after: FingerLine) -> float:
-    """Angle from one line to the other, the shorter way round, from −π up to π [rad]."""
-    return float((after.angle_rad - before.angle_rad + np.pi) % (2.0 * np.pi) - np.pi)
+    """Angle from one line to the other, the shorter way round, from −π to π [rad]."""
+    return math.remainder(after.angle_rad - before.angle_rad, 2.0 * math.pi)
 
 
 def _on_parabola(

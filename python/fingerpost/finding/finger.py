@@ -169,7 +169,7 @@ def are_near(one: StartPose, other: StartPose, reach_px: float, turn_rad: float)
 
 def _turn_rad(one_rad: float, other_rad: float) -> float:
     """Return the angle between two directions, 0 to π."""
-    return abs((one_rad - other_rad + math.pi) % (2 * math.pi) - math.pi)
+    return abs(math.remainder(one_rad - other_rad, 2.0 * math.pi))
 
 
 DIRECTION_SIGMA_RAD = 0.5
@@ -245,7 +245,7 @@ def is_left_behind(lines: Sequence[FingerLine], others: Sequence[FingerLine]) ->
 
 
 def _motion(before: FingerLine, now: FingerLine) -> float:
-    """Return the motion of the tip [half-widths]."""
+    """Return the motion of the tip [half-widths of an average finger of the line's length]."""
     return math.dist(now.tip_px, before.tip_px) / _half_width_px(before)
 
 
@@ -257,6 +257,6 @@ def _half_width_px(line: FingerLine) -> float:
 def hand_region(line: FingerLine) -> tuple[Array, Array, float]:
     """Return the image region of a finger and its hand: end points of a segment, and a radius."""
     tip, anchor = np.array(line.tip_px), np.array(line.anchor_px)
-    # The anchor is the finger's midpoint; hand and wrist lie within three finger lengths.
+    # The anchor is about the finger's midpoint; hand and wrist are within three finger lengths.
     finger = 2.0 * (tip - anchor)
     return tip + 0.2 * finger, tip - 3.0 * finger, 0.8 * float(np.hypot(*finger))

@@ -6,10 +6,9 @@ hand for the rest of the run only once it is proven.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
-
-import numpy as np
 
 from fingerpost._core import Background, ContourTracker, FingerLine, StartPose
 from fingerpost.capture import Frame
@@ -167,8 +166,8 @@ class FirstHand:
 
     def _is_same(self, line: FingerLine) -> bool:
         """Whether the second template may have found the finger that is followed."""
-        turn_rad = line.angle_rad - self._latest[-1].angle_rad
-        has_turned = abs(np.remainder(turn_rad + np.pi, 2 * np.pi) - np.pi) >= ONE_HAND_RAD
+        turn_rad = math.remainder(line.angle_rad - self._latest[-1].angle_rad, 2.0 * math.pi)
+        has_turned = abs(turn_rad) >= ONE_HAND_RAD
         return (moves(self._latest) and not has_turned) or not has_moved(self._latest[-1], line)
 
     def prove(self, frame: Frame, line: FingerLine | None) -> None:
