@@ -755,7 +755,10 @@ class JpegHandler(http.server.BaseHTTPRequestHandler):
                 continue
             jpeg = cv2.imencode(".jpg", painted(number))[1].tobytes()
             head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-            self.wfile.write(head.encode() + jpeg + b"\r\n")
+            try:
+                self.wfile.write(head.encode() + jpeg + b"\r\n")
+            except ConnectionError:  # the reader has closed it
+                return
             number += 1
 
     def log_message(self, *args: object) -> None:
