@@ -19,17 +19,20 @@ from fingerpost.capture.live import LiveSource
 from fingerpost.cli import main
 from fingerpost.config import FixedReference, LensParameters, Plane, Rig
 from fingerpost.doctor import Check, Severity, examine, look
+from fingerpost.doctor.hand import read_hand
 from fingerpost.doctor.pictures import read_pictures, region_between
 from fingerpost.errors import InvalidInputError
 from fingerpost.simulate import (
     Background,
     DevicePose,
+    Hand,
     LightChange,
     Lighting,
     Placement,
     RodAndProng,
     Sensor,
     SimulatedRig,
+    Trajectory,
     Workspace,
     write_recording,
 )
@@ -245,6 +248,20 @@ def test_many_frames_without_a_hand_are_reported_for_every_view():
 
 
 # --- reference points ------------------------------------------------------------------------
+
+
+def test_a_hand_that_comes_to_its_start_is_found_there():
+    """The tracker follows it before it has arrived."""
+    background = Background(texture="wood", clutter=20.0, seed=3)
+    rig = SimulatedRig(device=Hand(), background=background)
+    pose = DevicePose.pointing_at((200.0, 200.0), azimuth_deg=20.0, slant_deg=50.0, hover_mm=100.0)
+    comes = Trajectory.through([pose.retreated(300.0), pose], 0.3)
+    motion, rng = comes.then(Trajectory.hold(pose, 1.0)), np.random.default_rng(3)
+    taken = [rig.render(motion, time_s=k / 30.0, rng=rng).images for k in range(42)]
+    for view, seen in enumerate(rig.truth(pose, time_s=0.0).views):
+        start = seen.finger.start()
+        frames = [Frame(k, k / 30.0, images[view]) for k, images in enumerate(taken)]
+        assert read_hand(frames, start).found
 
 
 def reordered(rig, index, order):

@@ -10,6 +10,7 @@ from sheets import SIZE, corners_of_view, covered, inside, noisy
 from fingerpost._core import edges_along, fit_line
 from fingerpost.errors import InvalidInputError
 from fingerpost.lens import Lens
+from fingerpost.locating import ReferenceSearch
 from fingerpost.references import (
     Measured,
     RectangleMeter,
@@ -18,6 +19,7 @@ from fingerpost.references import (
     fit_sides,
 )
 from fingerpost.references.sides import refined
+from fingerpost.setting_up import reference_of, rig_of
 from fingerpost.uncertainty import blocks_of
 
 A4 = (210.0, 297.0)
@@ -124,6 +126,33 @@ def test_a_click_or_corners_select_one_of_two_sheets():
     for corners in sheets:
         assert best_off_px(picture, corners, near_px=corners.mean(axis=0)) < 0.1
         assert best_off_px(picture, corners, near_px=corners[::-1] + 6.0) < 0.1
+
+
+def test_a_rectangle_of_another_shape_is_none():
+    corners = np.array([[100.0, 200.0], [540.0, 200.0], [540.0, 290.0], [100.0, 290.0]])
+    picture = noisy(80 + 140 * inside(corners), np.random.default_rng(0), 2.0)
+    assert find_rectangles(picture, A4) == []
+    assert find_rectangles(picture, (440.0, 90.0)) != []
+
+
+def test_the_best_of_several_pictures_counts_until_a_sheet_shows_throughout():
+    """In the first pictures a part of each sheet is covered, and another edge takes its place."""
+    sheets = [corners_of_view(np.random.default_rng(seed)) for seed in (1, 2)]
+    rng = np.random.default_rng(0)
+    whole = [noisy(80 + 140 * inside(corners), rng, 2.0) for corners in sheets]
+    shown = []
+    for picture, corners in zip(whole, sheets, strict=True):
+        # A cloth like the table, over the sheet's half beyond the middle and on either side of it.
+        cloth = 0.5 * (corners[[0, 1, 2, 3]] + corners[[3, 2, 2, 3]])
+        cloth = cloth.mean(axis=0) + 1.4 * (cloth - cloth.mean(axis=0))
+        shown.append(cv2.fillConvexPoly(picture.copy(), cloth.round().astype(np.int32), 80))
+    search = ReferenceSearch(rig_of(["a.mp4", "b.mp4"], reference_of("A4")))
+    assert search.look(dict(enumerate(shown))) is None
+    found = search.look(dict(enumerate(whole)))
+    for view, corners in zip(found.views, sheets, strict=True):
+        points = np.array(view.reference_points_px)
+        off_px = np.linalg.norm(points[:, None] - corners, axis=-1).min(axis=1)
+        assert off_px.max() < 0.3
 
 
 def test_nothing_is_found_in_plain_pictures():

@@ -202,6 +202,24 @@ def test_a_picture_repeated_by_a_driver_is_old():
     assert freshness.repeats[1] == old[:, 1].sum()
 
 
+@pytest.mark.parametrize("held", [2, 40])
+def test_a_video_codec_does_not_make_a_repeated_picture_new(tmp_path, held):
+    """A slow sensor, and a view that has stood still from the beginning."""
+    rng = np.random.default_rng(1)
+    moving = [noisy(rng, (60 + 3 * k, 120)) for k in range(40)]
+    writer = cv2.VideoWriter(
+        str(tmp_path / "a.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (320, 240)
+    )
+    for k in range(40):
+        writer.write(cv2.cvtColor(moving[k - k % held], cv2.COLOR_GRAY2BGR))
+    writer.release()
+    with open_source(str(tmp_path / "a.mp4")) as source:
+        decoded = [frame.grey() for frame in source]
+    _, old = freshness_of(zip(moving, decoded, strict=True))
+    assert not old[:, 0].any()
+    assert old[18:, 1].tolist() == [k % held > 0 for k in range(18, 40)]
+
+
 def test_repeats_of_two_slow_sensors_are_detected():
     rng = np.random.default_rng(1)
     moving = [noisy(rng, (60 + 3 * k, 120)) for k in range(40)]

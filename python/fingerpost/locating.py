@@ -9,7 +9,7 @@ cameras are assumed to stand on the same side of it. A plane seen from above is 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,7 @@ from fingerpost.consistency import Scenery
 from fingerpost.homography import transfer_jacobian_by_point
 from fingerpost.pointing import PlaneView
 from fingerpost.references import (
+    Candidate,
     MarkersMeter,
     Measured,
     Meter,
@@ -50,6 +51,14 @@ UPRIGHT_WEIGHT = 0.15
 """Weight, likewise, of the cosine of the angle between the upward directions of two cameras."""
 
 LEAST_LIKENESS = 0.05
+
+SEARCHED_IMAGES = 3
+"""Images of a view in which a rectangle is searched, unless its outline shows throughout: noise
+breaks a side in one image and not in the next, and then a line of the table may take its place."""
+
+WHOLE = 0.8
+"""Least score relative to the length of an outline for which a rectangle shows throughout, and has
+the right shape. Sheets on wood have 0.92 and more, quadrilaterals of its grain 0.71 at most."""
 
 LOOK_EVERY = 16
 """While a reference is missing, the frames searched are those whose number is a power of two or a
@@ -79,13 +88,19 @@ class ReferenceSearch:
     ----------
     rig
         One view or more, with references to be detected.
+    images
+        Number of images of every view in which a rectangle is searched, ≥ 1; the best result
+        counts. One that shows throughout ends the search.
     """
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: Rig, *, images: int = SEARCHED_IMAGES) -> None:
         self._rig = rig
+        self._images = images
         self._places: dict[int, list[Placed]] = {}
+        self._scores: dict[int, float] = {}
+        self._decided: set[int] = set()
         self._pictures: dict[int, Picture] = {}
-        self._rounds = 0
+        self._rounds = self._searched = 0
 
     @staticmethod
     def is_needed(rig: Rig) -> bool:
@@ -104,22 +119,24 @@ class ReferenceSearch:
         -------
         Rig or None
             The rig with the reference points of all views and their covariances; None while one is
-            missing.
+            missing or may be found better.
         """
         self._rounds += 1
         if self._rounds & (self._rounds - 1) and self._rounds % LOOK_EVERY:
             return None
+        self._searched += 1
         for k, picture in pictures.items():
             view = self._rig.views[k]
-            if is_open(view) and k not in self._places:
-                places = self._proposed(view, picture)
-                if places:
-                    self._places[k], self._pictures[k] = places, picture.copy()
-            elif not is_open(view):
+            if not is_open(view):
                 self._pictures.setdefault(k, picture.copy())
-        if self.missing:
-            return None
-        return self._agreed()
+            elif k not in self._decided:
+                self._search(k, view, picture)
+        is_decided = self._searched >= self._images or self._decided >= self._places.keys()
+        return self.agreed() if is_decided else None
+
+    def agreed(self) -> Rig | None:
+        """Return the rig by the images so far; None while a reference is missing."""
+        return None if self.missing else self._agreed()
 
     @property
     def missing(self) -> dict[int, str]:
@@ -130,20 +147,31 @@ class ReferenceSearch:
             if is_open(view) and k not in self._places
         }
 
-    def _proposed(self, view: View, picture: Picture) -> list[Placed]:
+    def _search(self, k: int, view: View, picture: Picture) -> None:
+        """Search a view's reference in an image, and keep the best result."""
         if isinstance(view.reference, RectangleReference):
-            return self._rectangles(view, view.reference, picture)
-        measured = meter_of(self._rig, view).search(picture, np.zeros((4, 2)))
-        return [] if measured is None else [Placed(measured, 0.0)]
+            near = view.reference_points_px or view.reference.corners_px or view.reference.near_px
+            near_px = None if near is None else np.array(near, np.float64)
+            found = find_rectangles(picture, sides_of_plane(self._rig), view.lens, near_px)
+            if not found or found[0].score <= self._scores.get(k, 0.0):
+                return
+            self._scores[k] = found[0].score
+            self._places[k] = self._rectangles(found, near_px, picture)
+            if found[0].score >= WHOLE * found[0].sides.seen_px.sum():
+                self._decided.add(k)
+        else:
+            measured = meter_of(self._rig, view).search(picture, np.zeros((4, 2)))
+            if measured is None:
+                return
+            self._places[k] = [Placed(measured, 0.0)]
+            self._decided.add(k)
+        self._pictures[k] = picture.copy()
 
     def _rectangles(
-        self, view: View, reference: RectangleReference, picture: Picture
+        self, found: Sequence[Candidate], near_px: Array | None, picture: Picture
     ) -> list[Placed]:
-        size = sides_of_plane(self._rig)
-        near = view.reference_points_px or reference.corners_px or reference.near_px
-        near_px = None if near is None else np.array(near, np.float64)
-        found = find_rectangles(picture, size, view.lens, near_px)
-        clockwise = self._is_clockwise()
+        """Return every order of the corners of every candidate."""
+        size, clockwise = sides_of_plane(self._rig), self._is_clockwise()
         places = []
         for candidate in found:
             score = SIDE_WEIGHT * math.log(candidate.score / found[0].score)

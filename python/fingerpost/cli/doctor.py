@@ -104,6 +104,7 @@ def _examined(rig_file: Path, frames: int | None) -> Diagnosis:
             for view, source in zip(rig.sources, sources, strict=True)
             for note in source.notes
         ]
+    known = known or search.agreed()
     if known is None:
         raise InvalidInputError("; ".join(search.missing.values()))
     return examine(known, seen, sizes_px, damage=damage, notes=notes)

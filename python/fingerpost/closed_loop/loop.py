@@ -274,6 +274,7 @@ class ClosedLoop:
             selector=DwellSelector(self.guard, dwell_s=options.dwell_s, radius_m=options.dwell_m),
             carry=options.pick_place,
             keys=True,
+            key_help="",
             blocks=_ENDLESS if stands_by else 1,
             home=robot.home if stands_by else None,
             activity=Activity.STAY if stands_by else Activity.CARRY,

@@ -112,8 +112,13 @@ class Mistake:
     as_given: float
     is_certain: bool
 
+    @property
+    def certainty(self) -> str:
+        """How sure the corrected lines are, in words that follow them."""
+        return "would be right" if self.is_certain else "may be right: look at the pictures"
+
     def lines(self, rig: Rig) -> str:
-        """Return the right lines of the rig file."""
+        """Return the corrected lines of the rig file."""
         return "; ".join(
             f'view "{rig.views[k].name}": reference_points_px = ['
             + ", ".join(f"[{u:.1f}, {v:.1f}]" for u, v in points.tolist())

@@ -33,8 +33,9 @@ FINGER_PX = (30.0, 15.0)
 its flanks are too short to define a direction."""
 
 SETTLES_WITHIN = 0.5
-"""Greatest distance from the start's tip, in finger lengths, at which a tracker that confirms a
-hand follows the right one: on real and rendered footage it was 0.3 at most."""
+"""Distance from the start's tip, in finger lengths, within which a hand that the tracker follows
+must have been once to be the one that is presented: on real and rendered footage it comes as near
+as 0.3."""
 
 LARGEST_FINGER_SHARE = 0.7
 """Greatest finger length relative to the image's shorter side: a larger hand leaves the image when
@@ -70,7 +71,7 @@ def read_hand(frames: Sequence[Frame], start: Start) -> HandReadings:
         if line is None:
             continue
         if not lengths and math.dist(line.tip_px, start.tip_px) > SETTLES_WITHIN * start.length_px:
-            break
+            continue  # a hand that is still coming, or something else
         lines = tracker.search_lines()
         seen = np.isfinite(lines.offset_px)
         edges = (lines.position_px + lines.normal * lines.offset_px[:, None])[seen]

@@ -73,17 +73,18 @@ def judge_views(
         yield from _judge_strength(view.name, plane_view)
         if len(points_px) > 4:
             yield from _judge_consistency(view.name, plane_view, points_px)
-        yield from _judge_corners(view, still)
 
 
 def judge_together(
     rig: Rig, plane_views: Sequence[PlaneView], stills: Sequence[Grey]
 ) -> Iterator[Finding]:
-    """Find contradictions between the views."""
+    """Find contradictions between the views, and points beside corners that nothing confirms."""
     if (wrong := different_sides(rig, plane_views)) is not None:
         yield Finding(Severity.ERROR, Check.REFERENCES, "", *wrong)
+        yield from _judge_corners(rig.views, stills)
         return
     if len(rig.views) < 2:
+        yield from _judge_corners(rig.views, stills)
         yield Finding(
             Severity.ERROR,
             Check.REFERENCES,
@@ -118,10 +119,11 @@ def _judge_scenery(rig: Rig, stills: Sequence[Grey]) -> Iterator[Finding]:
     elif (mistake := scenery.mistake()) is not None:
         severity = Severity.ERROR if mistake.is_certain else Severity.WARNING
         what = f"{mistake.what} (the views agree by {mistake.as_given:.2f} on what the plane shows)"
-        right = f"{mistake.lines(rig)} would be right"
+        right = f"{mistake.lines(rig)} {mistake.certainty}"
         places = list(mistake.points_px)
         name = rig.views[places[0]].name if len(places) == 1 else ""
         yield Finding(severity, Check.REFERENCES, name, what, right)
+    yield from _judge_corners(rig.views, stills, scenery)
     for k, bend in scenery.bends().items():
         yield Finding(Severity.WARNING, Check.LENS, rig.views[k].name, bend.what, bend.right)
 
@@ -153,12 +155,24 @@ def _judge_consistency(name: str, plane_view: PlaneView, points_px: Array) -> It
         )
 
 
-def _judge_corners(view: View, still: Grey) -> Iterator[Finding]:
-    for k, point in enumerate(np.array(view.reference_points_px)):
-        if _near_hand(view, point):  # whose own outline has corners
-            continue
-        corner = _corner_beside(still, point)
-        if corner is not None:
+def _judge_corners(
+    views: Sequence[View], stills: Sequence[Grey], scenery: Scenery | None = None
+) -> Iterator[Finding]:
+    """Find points beside sharp corners, unless the views agree less with a point at its corner."""
+    for j, (view, still) in enumerate(zip(views, stills, strict=True)):
+        points_px = np.array(view.reference_points_px)
+        for k, point in enumerate(points_px):
+            if _near_hand(view, point):  # whose own outline has corners
+                continue
+            corner = _corner_beside(still, point)
+            if corner is None:
+                continue
+            if scenery is not None:
+                pair = (0, j) if j else (1, 0)
+                moved_px = points_px.copy()
+                moved_px[k] = corner
+                if scenery.agreement_of({j: moved_px}, pair) < scenery.agreement_of({}, pair):
+                    continue  # the corner is another object's
             yield Finding(
                 Severity.WARNING,
                 Check.REFERENCES,

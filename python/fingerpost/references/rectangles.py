@@ -56,12 +56,18 @@ EVEN = 0.5
 """Step of a side, relative to the median of the four, below which its score is reduced: the sides
 of a sheet have similar contrasts, the grain of wood beside it has less."""
 
+IMPOSSIBLE = 0.05
 UNLIKE = 0.5
 ASPECT_SIGMA = 0.1
 FOCAL_PARTS = np.geomspace(0.5, 4.0, 13)
-"""Least factor of the score of a quadrilateral that is not an image of the rectangle; standard
-deviation of the log ratio of its sides and of their angle [rad]; focal lengths, relative to the
-longer side of the image."""
+"""Likelihood below which a quadrilateral is no image of the rectangle: sheets have 0.93 and more,
+0.65 with a wrong one of A4 and Letter, and quadrilaterals of grain often less than 1e-6; least
+factor of the score by the likelihood; standard deviation of the log ratio of its sides and of their
+angle [rad]; focal lengths, relative to the longer side of the image."""
+
+MAX_CORNER_SIGMA = 0.02
+"""Greatest standard deviation of a corner, relative to the shortest side: 0.001 on wood and 0.01
+of a sheet of which half is covered."""
 
 APART = 0.02
 """Greatest distance of the corners of equal quadrilaterals, relative to their diagonal."""
@@ -168,10 +174,19 @@ def _fitted(
             continue
         if any(_is_same(sides.corners_px, other.sides.corners_px) for other in found):
             continue
+        shortest_px = float(np.linalg.norm(np.diff(quad, axis=0, append=quad[:1]), axis=1).min())
+        if _corner_sigma_px(sides) > MAX_CORNER_SIGMA * shortest_px:
+            continue
         score = _score(sides, picture.shape, size, near_px)
         if score > 0.0:
             found.append(Candidate(sides, score))
     return sorted(found, key=lambda one: -one.score)[:MOST_KEPT]
+
+
+def _corner_sigma_px(sides: Sides) -> float:
+    """Return the greatest standard deviation of a corner, root mean square of both axes [px]."""
+    variances_px2 = np.diag(sides.covariance).reshape(4, 2).mean(axis=1)
+    return float(np.sqrt(variances_px2.max()))
 
 
 def _score(
@@ -340,8 +355,9 @@ def _clipped(corners: Array, ends: Array, shape: tuple[int, ...]) -> Array:
 
 
 def _likeness(quad: Array, size: tuple[float, float], shape: tuple[int, ...]) -> float:
-    """Return the likelihood of a quadrilateral for either order of the sides, `UNLIKE` to 1."""
-    return max(UNLIKE, *(likeness(quad, turned, shape) for turned in (size, size[::-1])))
+    """Return the factor of the score by the likelihood for either order of the sides, 0 to 1."""
+    best = max(likeness(quad, turned, shape) for turned in (size, size[::-1]))
+    return 0.0 if best < IMPOSSIBLE else max(UNLIKE, best)
 
 
 def likeness(quad: Array, size: tuple[float, float], shape: tuple[int, ...]) -> float:

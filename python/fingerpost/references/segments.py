@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-MOST_LINES = 44
+MOST_LINES = 60
 DIRECTIONS = 12
-MOST_A_DIRECTION = 10
+MOST_A_DIRECTION = 24
 """Greatest number of lines, number of direction bins in the half circle, and greatest number of
 lines per bin; the strongest are kept. Wood has hundreds along its grain."""
 

@@ -175,7 +175,7 @@ class Dialogue:
         self._publish(busy="looking for the hand", hand=None)
         with self._frames() as (rig, frames):
             search = look_for_hand(rig, frames, self._page.is_asked, self._shown("hand"))
-        self._publish(hand=search.state)
+        self._publish(hand=None if search is None else search.state)
 
     def _learn(self) -> None:
         self._publish(busy="learning", aim=None)

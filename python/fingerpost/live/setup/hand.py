@@ -63,7 +63,7 @@ def look_for_hand(
     frames: Iterator[Sequence[Frame | Loss | None]],
     is_left: Callable[[], bool],
     show: Shown,
-) -> HandSearch:
+) -> HandSearch | None:
     """Search for the hand until it points, frames end, or the page sends a command.
 
     Parameters
@@ -76,6 +76,11 @@ def look_for_hand(
         Returns whether to cancel.
     show
         Called with the intermediate result, and the step.
+
+    Returns
+    -------
+    HandSearch or None
+        None if it was cancelled: then nothing is known.
     """
     pointer = Pointer(rig)
     kept: deque[Sequence[Frame | Loss | None]] = deque(maxlen=_KEPT_FRAMES)
@@ -89,7 +94,7 @@ def look_for_hand(
         if is_found:
             return HandSearch(True, {**_judged(rig, step, list(kept)), "found": True})
         if is_left():
-            break
+            return None
     return HandSearch(False, _judged(rig, last, list(kept)))
 
 

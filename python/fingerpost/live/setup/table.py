@@ -152,14 +152,16 @@ class Table:
             return
         self.plane = self.plane or guessed(list(pictures.values()))
         rig = _open_rig(self.plane, self.chosen, self.points, offers)
-        search = ReferenceSearch(rig)
+        search = ReferenceSearch(rig, images=1)
         found = search.look(pictures)
         self.missing = search.missing
         if self.missing and len(self.missing) < len(rig.views):
             # Use the views that do show it.
             shown = [k for k in range(len(rig.views)) if k not in self.missing]
             part = structs.replace(rig, views=tuple(rig.views[k] for k in shown))
-            found = ReferenceSearch(part).look({i: pictures[k] for i, k in enumerate(shown)})
+            found = ReferenceSearch(part, images=1).look(
+                {i: pictures[k] for i, k in enumerate(shown)}
+            )
             self._take(shown, found)
         else:
             self._take(range(len(rig.views)), found)

@@ -42,11 +42,11 @@ function onState(received) {
   if (received.rig) openRig(received.rig);
   state = received;
   document.documentElement.classList.toggle("setting-up", Boolean(received.setup));
+  experiment.show(received.experiment, !received.setup);
   if (received.setup) return setUp.show(received.setup);
   setUp.hide();
   if (!rig) return;
   robot.show(received.arm, received.controls);
-  experiment.show(received.experiment, !received.setup);
   timeline.take(received);
   bookmarks.setTotal(received.total);
   statusLine.isPlaying = received.playing;

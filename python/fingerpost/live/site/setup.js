@@ -1,7 +1,7 @@
 // Set-up without typing, in five steps that can be visited in any order.
 
 import { html } from "./draw.js";
-import { legend, SetUpPlan } from "./setup_plan.js";
+import { errorsWords, legend, SetUpPlan } from "./setup_plan.js";
 import { CORNERS, SetUpView } from "./setup_view.js";
 import { setText } from "./status.js";
 
@@ -321,6 +321,10 @@ export class SetUp {
     return /hand|learning/.test(this.state?.busy ?? "");
   }
 
+  get isContradicted() {
+    return this.state.words?.some(({ severity }) => severity === "error") ?? false;
+  }
+
   get isReady() {
     const views = this.state?.table.views ?? [];
     return views.length >= 2 && this.open.length === 0 && views.every(({ points }) => points.length === CORNERS) && Boolean(this.state.scene);
@@ -386,7 +390,8 @@ export class SetUp {
       const missing = table.views.find(({ offer, missing }) => missing && offer === open.number)?.missing;
       return waiting(`click corner ${open.points.length + 1} in ${open.offer.name}`, missing || "around a sheet or a mat on the table, the same corner first in every view");
     }
-    if (this.step === "table") return done("the table is known", advice ? `95 % of the errors will be below ${advice.most} ${advice.unit}` : "drag a corner to move it, or use the arrow keys on it");
+    if (this.step === "table" && this.isContradicted) return waiting("the corners look wrong", "see below what contradicts them; drag them to the right places");
+    if (this.step === "table") return done("the table is known", advice ? errorsWords(advice) : "drag a corner to move it, or use the arrow keys on it");
     if (this.step === "hand") {
       if (this.isLooking) return ["point at the table", "index finger out, thumb up, in sight of every view", "acquiring", "looking"];
       if (!hand && this.picked.some((view) => view.held)) return waiting("hold your hand up to the template", "drag it, or its knuckle to turn and scale it; then look for the hand");
@@ -461,7 +466,7 @@ export class SetUp {
       ["views", this.picked.map((view) => view.offer.name).join(", ")],
       ["plane", `${PLANES[table.plane] ?? "rectangle"}, ${a} × ${b} mm`],
       ["corners", table.views.map(({ sigma, found }) => `± ${sigma} px ${found ? "found" : "by hand"}`).join("; ")],
-      ["expected errors", advice ? `half below ${advice.median} ${advice.unit}, 95 % below ${advice.most} ${advice.unit}` : "unknown"],
+      ["expected errors", advice ? errorsWords(advice).replace(" of the errors", "") : "unknown"],
       ["hand", hand?.found ? "found in every view" : "to be found when it comes"],
       ["your aim", aim?.off === undefined ? "not learned" : `${aim.off} ${aim.unit} beside, ${aim.left} ${aim.unit} after it is taken off`],
     ];

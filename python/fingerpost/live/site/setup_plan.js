@@ -99,16 +99,20 @@ class ErrorMap extends PlanPanel {
   }
 }
 
+// The expected errors in words.
+export function errorsWords({ median, most, unit }) {
+  return most === null
+    ? "no pose of the hand will have a point"
+    : `half of the errors below ${median}\u00a0${unit}, 95\u00a0% below ${most}\u00a0${unit}`;
+}
+
 // Legend of the colours of errors.
 export function legend(parent, advice) {
   parent.replaceChildren();
   if (!advice) return;
   const bar = html("i", "ramp", parent);
   bar.setAttribute("aria-hidden", "true");
-  const words = advice.most === null
-    ? "no pose of the hand will have a point"
-    : `half of the errors below ${advice.median}\u00a0${advice.unit}, 95\u00a0% below ${advice.most}\u00a0${advice.unit}`;
-  html("span", "", parent, words);
+  html("span", "", parent, errorsWords(advice));
 }
 
 function mixed(share) {

@@ -82,7 +82,7 @@ export class SetUpView {
 
   // Takes corners detected by the program; corners placed by hand are kept.
   take({ points, sigma, found, missing }) {
-    this.accuracy = found ? `found ± ${sigma} px` : `by hand, ± ${sigma} px`;
+    this.accuracy = sigma === null ? "" : found ? `found ± ${sigma} px` : `by hand, ± ${sigma} px`;
     this.missing = missing;
     if (!this.isByHand && points.length === CORNERS && this.points.length < CORNERS) this.points = points.map((point) => [...point]);
     this.draw();
