@@ -85,6 +85,30 @@ def test_a_sheet_is_found_in_both_views_with_the_same_first_corner(tmp_path, see
     assert (tmp_path / "rig.png").exists()
 
 
+def test_a_second_sheet_is_named_with_what_takes_it(tmp_path):
+    for seed, name in enumerate("ab"):
+        first = corners_of_view(np.random.default_rng(seed), distance=(3.4, 3.6)).astype(np.float32)
+        beside = (A4 + np.array([240, 10], np.float32))[None]
+        second = cv2.perspectiveTransform(beside, cv2.getPerspectiveTransform(A4, first))[0]
+        film(tmp_path / name, first)
+        for path in (tmp_path / name).glob("*.png"):
+            part = inside(second)
+            picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) * (1.0 - part) + 205 * part
+            cv2.imwrite(str(path), picture.astype(np.uint8))
+    films = [str(tmp_path / name / "*.png") for name in "ab"]
+    done = init("--from", *films, "--plane", "A4", "-o", tmp_path / "rig.toml")
+    assert done.exit_code == 0, done.output
+    other = re.findall(
+        r'view "a": another such rectangle is about .*; (--near) (a=\d+,\d+) takes', done.output
+    )
+    assert len(other) == 1
+    again = init("--from", *films, "--plane", "A4", "-o", tmp_path / "again.toml", *other[0])
+    rigs = [Rig.load(tmp_path / name) for name in ("rig.toml", "again.toml")]
+    middles = [np.mean(rig.views[0].reference_points_px, axis=0) for rig in rigs]
+    assert again.exit_code == 0, again.output
+    assert np.linalg.norm(middles[1] - middles[0]) > 100.0
+
+
 def test_the_view_without_a_sheet_is_named(tmp_path):
     corners = corners_of_view(np.random.default_rng(0))
     films = [

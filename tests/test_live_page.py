@@ -266,6 +266,24 @@ def test_everything_fits_and_nothing_overlaps(opened, size):
         assert stop["height"] >= 64
 
 
+def test_both_coordinates_are_read_at_every_width(opened):
+    page = opened()
+    page.at(50)
+    page.until("document.documentElement.dataset.status === 'ok'")
+    cut = []
+    for width in (1440, 1200, 1199, 1024, 901, 900, 800, 721, 720, 640, 390, 360):
+        page.page.set_viewport_size({"width": width, "height": 560})
+        shown, has = page.page.evaluate(
+            "(({ scrollWidth, clientWidth }) => [scrollWidth, clientWidth])"
+            "(document.querySelector('#point'))"
+        )
+        bottom = "document.querySelector('{}').getBoundingClientRect().bottom"
+        heights = [page.page.evaluate(bottom.format(one)) for one in ("#said", "#head")]
+        if shown > has or heights[0] > heights[1]:
+            cut.append(width)
+    assert cut == []
+
+
 def test_nothing_moves_while_numbers_change(opened):
     page = opened()
     places = []

@@ -61,8 +61,8 @@ WHOLE = 0.8
 the right shape. Sheets on wood have 0.92 and more, quadrilaterals of its grain 0.71 at most."""
 
 LOOK_EVERY = 16
-"""While a reference is missing, the frames searched are those whose number is a power of two or a
-multiple of this."""
+"""While a reference is missing after that, the frames searched are those whose number is a power of
+two or a multiple of this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,8 @@ class ReferenceSearch:
             missing or may be found better.
         """
         self._rounds += 1
-        if self._rounds & (self._rounds - 1) and self._rounds % LOOK_EVERY:
+        has_looked = self._searched >= self._images
+        if has_looked and self._rounds & (self._rounds - 1) and self._rounds % LOOK_EVERY:
             return None
         self._searched += 1
         for k, picture in pictures.items():
@@ -157,7 +158,7 @@ class ReferenceSearch:
                 return
             self._scores[k] = found[0].score
             self._places[k] = self._rectangles(found, near_px, picture)
-            if found[0].score >= WHOLE * found[0].sides.seen_px.sum():
+            if shows_throughout(found[0]):
                 self._decided.add(k)
         else:
             measured = meter_of(self._rig, view).search(picture, np.zeros((4, 2)))
@@ -253,6 +254,11 @@ class ReferenceSearch:
                 ),
             )
         return structs.replace(self._rig, views=tuple(views))
+
+
+def shows_throughout(candidate: Candidate) -> bool:
+    """Return whether all of a candidate's outline has an edge, and it is the rectangle's shape."""
+    return bool(candidate.score >= WHOLE * candidate.sides.seen_px.sum())
 
 
 def is_open(view: View) -> bool:

@@ -18,9 +18,11 @@ from fingerpost.capture import Frame, Loss, is_url, resolve_source
 from fingerpost.config import MarkersReference, Pair, Plane, RectangleReference, Rig, View
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.formats import NAMES, SIZES_MM, Size, corners_of, sides_of
+from fingerpost.locating import shows_throughout, sides_of_plane
 from fingerpost.pipeline import Pointer, Step, steps
 from fingerpost.pointing import FingerLine, Status
 from fingerpost.recording.picture import Composition
+from fingerpost.references import contains, find_rectangles
 
 UNIT = "mm"
 
@@ -205,6 +207,17 @@ def set_up(rig: Rig, frames: Iterator[Sequence[Frame | Loss | None]]) -> SetUp:
     return _set_up_from(pointer, best)
 
 
+def _other_rectangles(view: View, size: tuple[float, float], frame: Frame) -> list[Pair]:
+    """Return the middles of rectangles beside the one that was chosen, which show as well [px]."""
+    chosen = np.array(view.reference_points_px, np.float64)
+    middles = [
+        candidate.sides.corners_px.mean(axis=0)
+        for candidate in find_rectangles(frame.image, size, view.lens)
+        if shows_throughout(candidate)
+    ]
+    return [(u, v) for u, v in middles if not contains(chosen, np.array([u, v]))]
+
+
 def _set_up_from(pointer: Pointer, best: Step) -> SetUp:
     rig, views = pointer.rig, [seen.plane_view for seen in best.observations]
     composition = Composition(pointer.plane_views, unit=rig.plane.unit)
@@ -220,5 +233,11 @@ def _set_up_from(pointer: Pointer, best: Step) -> SetUp:
         else:
             without.append(view.name)
         lines.append(f'view "{view.name}": corners {corners} ± {sigma_px:.2f} px; {hand}')
+        if isinstance(view.reference, RectangleReference) and seen.frame is not None:
+            lines += [
+                f'view "{view.name}": another such rectangle is about ({u:.0f}, {v:.0f}); '
+                f"--near {view.name}={u:.0f},{v:.0f} takes it"
+                for u, v in _other_rectangles(view, sides_of_plane(rig), seen.frame)
+            ]
     picture = composition.draw(best.observations, best.fix, plane_views=views)
     return SetUp(rig, picture, tuple(lines), tuple(without))

@@ -7,7 +7,7 @@ the working plane has moved in the image.
 from fingerpost.references.following import Measured, ReferenceFollower
 from fingerpost.references.markers import MarkersMeter, marker_cells, sheet_markers
 from fingerpost.references.meters import Meter, RectangleMeter
-from fingerpost.references.polygons import signed_area
+from fingerpost.references.polygons import contains, signed_area
 from fingerpost.references.rectangles import (
     Candidate,
     find_rectangles,
@@ -36,6 +36,7 @@ __all__ = [
     "ReferenceWatch",
     "Segment",
     "Sides",
+    "contains",
     "find_rectangles",
     "fit_sides",
     "likeness",
