@@ -116,6 +116,19 @@ def test_points_with_individual_errors_are_corrected(seed):
     np.testing.assert_allclose(given(corrected)[1], given(rig)[1], atol=4.0)
 
 
+@pytest.mark.parametrize("turn_rad", [0.0, 0.6])
+def test_points_around_another_part_of_the_table_are_reported_without_a_correction(right, turn_rad):
+    rig, pictures = right
+    middle = given(rig)[1].mean(axis=0)
+    turn = np.array([[np.cos(turn_rad), np.sin(turn_rad)], [-np.sin(turn_rad), np.cos(turn_rad)]])
+    shrunk = middle + (0.6 if turn_rad == 0.0 else 1.0) * (given(rig)[1] - middle) @ turn
+    wrong = with_points(rig, {1: shrunk})
+    mistake = Scenery(wrong, pictures).mistake()
+    assert "do not show the same table" in mistake.what
+    assert not mistake.is_certain
+    assert mistake.advice(wrong).startswith("compare every point")
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(
     "background", [SHEET_ON_WOOD, PRINTED, Background(), Background(sheet=80.0)]

@@ -703,7 +703,7 @@ class Pointer:
             raise InvalidInputError(f"{same.what}; {same.right}")
         has_fixed = any(isinstance(view.reference, FixedReference) for view in self._rig.views)
         if has_fixed and (mistake := scenery.mistake()) is not None:
-            words = f"{mistake.what}; {mistake.lines(self._rig)} {mistake.certainty}"
+            words = f"{mistake.what}; {mistake.advice(self._rig)}"
             if mistake.is_certain:
                 raise InvalidInputError(words)
             _log.warning("%s", words)

@@ -51,6 +51,11 @@ LEAST_CELLS = 12
 """Least number of cells of the plane with texture for the agreement to be defined: a third of them.
 On a plain table, a hand covers up to 10."""
 
+DISAGREES = 0.4
+TEXTURED_CELLS = 18
+"""Agreement below which the points of some view are off, though no correction is known, and least
+number of cells with texture in every view for that: half of them."""
+
 ANOTHER_HEIGHT = 0.25
 """Sine of the root mean square angle between displacements and the lines towards the epipole, below
 which the texture is at another height."""
@@ -98,7 +103,7 @@ class Mistake:
     what
         The mistake in words.
     points_px
-        The right points (N, 2) [px], by index of the view in the rig.
+        The right points (N, 2) [px], by index of the view in the rig; empty if they are unknown.
     agreement, as_given
         Agreement of the views with these points, and with those of the rig, −1 to 1.
     is_certain
@@ -112,13 +117,14 @@ class Mistake:
     as_given: float
     is_certain: bool
 
-    @property
-    def certainty(self) -> str:
-        """How sure the corrected lines are, in words that follow them."""
-        return "would be right" if self.is_certain else "may be right: look at the pictures"
+    def advice(self, rig: Rig) -> str:
+        """Return the corrected lines of the rig file, and how sure they are."""
+        if not self.points_px:
+            return "compare every point with the pictures, also its number"
+        sure = "would be right" if self.is_certain else "may be right: look at the pictures"
+        return f"{self._lines(rig)} {sure}"
 
-    def lines(self, rig: Rig) -> str:
-        """Return the corrected lines of the rig file."""
+    def _lines(self, rig: Rig) -> str:
         return "; ".join(
             f'view "{rig.views[k].name}": reference_points_px = ['
             + ", ".join(f"[{u:.1f}, {v:.1f}]" for u, v in points.tolist())
@@ -262,9 +268,19 @@ class Scenery:
             or aligned
         )
         if found is None:
-            return None
+            return self._unexplained(as_given)
         whole_px = {k: self._reductions[k].whole(points) for k, points in found.points_px.items()}
         return replace(found, points_px=whole_px)
+
+    def _unexplained(self, as_given: float) -> Mistake | None:
+        """Return a mistake without a correction if all views show texture, but another one."""
+        has_texture = all(
+            self._textured(k, given) >= TEXTURED_CELLS for k, given in enumerate(self._given)
+        )
+        if as_given >= DISAGREES or not has_texture:
+            return None
+        what = "the views do not show the same table between their points: those of one are off"
+        return Mistake(what, {}, as_given, as_given, False)
 
     def _best_by_agreement(
         self,

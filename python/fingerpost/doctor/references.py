@@ -119,7 +119,7 @@ def _judge_scenery(rig: Rig, stills: Sequence[Grey]) -> Iterator[Finding]:
     elif (mistake := scenery.mistake()) is not None:
         severity = Severity.ERROR if mistake.is_certain else Severity.WARNING
         what = f"{mistake.what} (the views agree by {mistake.as_given:.2f} on what the plane shows)"
-        right = f"{mistake.lines(rig)} {mistake.certainty}"
+        right = mistake.advice(rig)
         places = list(mistake.points_px)
         name = rig.views[places[0]].name if len(places) == 1 else ""
         yield Finding(severity, Check.REFERENCES, name, what, right)
