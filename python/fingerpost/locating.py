@@ -28,6 +28,7 @@ from fingerpost.consistency import Scenery
 from fingerpost.homography import transfer_jacobian_by_point
 from fingerpost.pointing import PlaneView
 from fingerpost.references import (
+    LEAST_LIKENESS,
     Candidate,
     MarkersMeter,
     Measured,
@@ -49,8 +50,6 @@ two views' textures."""
 
 UPRIGHT_WEIGHT = 0.15
 """Weight, likewise, of the cosine of the angle between the upward directions of two cameras."""
-
-LEAST_LIKENESS = 0.05
 
 SEARCHED_IMAGES = 3
 """Images of a view in which a rectangle is searched, unless its outline shows throughout: noise
@@ -132,7 +131,7 @@ class ReferenceSearch:
                 self._pictures.setdefault(k, picture.copy())
             elif k not in self._decided:
                 self._search(k, view, picture)
-        is_decided = self._searched >= self._images or self._decided >= self._places.keys()
+        is_decided = self._searched >= self._images or not self.undecided
         return self.agreed() if is_decided else None
 
     def agreed(self) -> Rig | None:
@@ -146,6 +145,15 @@ class ReferenceSearch:
             k: _absence(view)
             for k, view in enumerate(self._rig.views)
             if is_open(view) and k not in self._places
+        }
+
+    @property
+    def undecided(self) -> dict[int, str]:
+        """Reason for which the best image of a rectangle is still sought, by index of the view."""
+        return {
+            k: f'view "{self._rig.views[k].name}": a part of its rectangle does not show; '
+            f"{self._images} images are compared"
+            for k in self._places.keys() - self._decided
         }
 
     def _search(self, k: int, view: View, picture: Picture) -> None:

@@ -657,7 +657,8 @@ class Pointer:
         )
         if found is None:
             first = seen[0]
-            return [] if first is None else [self._step_without(first, self._search.missing)]
+            reasons = self._search.missing | self._search.undecided
+            return [] if first is None else [self._step_without(first, reasons)]
         self._search, self._rig, self._rig_views = None, found, list(found.views)
         for k in range(len(found.views)):
             self._begin(k)
@@ -668,14 +669,14 @@ class Pointer:
         if (wrong := different_sides(self._rig, self.plane_views)) is not None:
             raise InvalidInputError(f"{wrong.what}; {wrong.right}")
 
-    def _step_without(self, first: Frame | Loss, missing: Mapping[int, str]) -> Step:
-        """Return the step of a frame while references are still missing."""
+    def _step_without(self, first: Frame | Loss, reasons: Mapping[int, str]) -> Step:
+        """Return the step of a frame while references are still missing or undecided."""
         none = np.empty((0, 2))
         observations = tuple(
             Observation(view.name, None, None, none, None, Status.ACQUIRING) for view in self.views
         )
         lines = (None,) * len(self.views)
-        reason = "; ".join(missing.values())
+        reason = "; ".join(reasons.values())
         return Step(
             first.index, observations, Fix(first.time_s, Status.ACQUIRING, lines, reason=reason)
         )

@@ -23,6 +23,7 @@ from fingerpost.pipeline import Pointer, Step, steps
 from fingerpost.pointing import FingerLine, Status
 from fingerpost.recording.picture import Composition
 from fingerpost.references import contains, find_rectangles
+from fingerpost.uncertainty import largest_sigma
 
 UNIT = "mm"
 
@@ -208,7 +209,9 @@ def set_up(rig: Rig, frames: Iterator[Sequence[Frame | Loss | None]]) -> SetUp:
 
 
 def _other_rectangles(view: View, size: tuple[float, float], frame: Frame) -> list[Pair]:
-    """Return the middles of rectangles beside the one that was chosen, which show as well [px]."""
+    """Return the middles of rectangles beside the one found, unless a person chose it [px]."""
+    if not isinstance(view.reference, RectangleReference) or view.reference.near_px is not None:
+        return []
     chosen = np.array(view.reference_points_px, np.float64)
     middles = [
         candidate.sides.corners_px.mean(axis=0)
@@ -224,8 +227,7 @@ def _set_up_from(pointer: Pointer, best: Step) -> SetUp:
     lines, without = [], []
     for view, seen in zip(rig.views, best.observations, strict=True):
         corners = ", ".join(f"({u:.1f}, {v:.1f})" for u, v in view.reference_points_px)
-        covariances = view.reference_covariances(1.0)
-        sigma_px = float(np.sqrt(np.trace(covariances, axis1=1, axis2=2).max() / 2.0))
+        sigma_px = max(map(largest_sigma, view.reference_covariances(1.0)))
         hand = "no hand"
         if isinstance(seen.finger, FingerLine):
             u, v = seen.reduction.whole(seen.finger.tip_px).tolist()
@@ -233,7 +235,7 @@ def _set_up_from(pointer: Pointer, best: Step) -> SetUp:
         else:
             without.append(view.name)
         lines.append(f'view "{view.name}": corners {corners} ± {sigma_px:.2f} px; {hand}')
-        if isinstance(view.reference, RectangleReference) and seen.frame is not None:
+        if seen.frame is not None:
             lines += [
                 f'view "{view.name}": another such rectangle is about ({u:.0f}, {v:.0f}); '
                 f"--near {view.name}={u:.0f},{v:.0f} takes it"

@@ -125,9 +125,10 @@ class RobotDemoSummary:
             )
         for name, leg in zip(("block", "place"), self.legs, strict=False):
             closed = "not reached" if leg.closed_mm is None else f"{leg.closed_mm:.1f} mm"
+            corrections = f"{leg.corrections} correction{'s' * (leg.corrections != 1)}"
             lines.append(
                 f"{name:<9} gripper {leg.open_mm:.1f} mm off open loop, {closed} with feedback, "
-                f"{leg.corrections} corrections in {leg.closed_s:.1f} s"
+                f"{corrections} in {leg.closed_s:.1f} s"
             )
         if self.placed_mm is not None:
             lines.append(f"placed    {self.placed_mm:.1f} mm from where it should be")

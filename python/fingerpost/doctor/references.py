@@ -79,12 +79,10 @@ def judge_together(
     rig: Rig, plane_views: Sequence[PlaneView], stills: Sequence[Grey]
 ) -> Iterator[Finding]:
     """Find contradictions between the views, and points beside corners that nothing confirms."""
+    scenery = None
     if (wrong := different_sides(rig, plane_views)) is not None:
         yield Finding(Severity.ERROR, Check.REFERENCES, "", *wrong)
-        yield from _judge_corners(rig.views, stills)
-        return
-    if len(rig.views) < 2:
-        yield from _judge_corners(rig.views, stills)
+    elif len(rig.views) < 2:
         yield Finding(
             Severity.ERROR,
             Check.REFERENCES,
@@ -92,8 +90,10 @@ def judge_together(
             f"the rig has {len(rig.views)} view",
             "two or more are right: one alone shows no point",
         )
-        return
-    yield from _judge_scenery(rig, stills)
+    else:
+        scenery = Scenery(rig, stills)
+        yield from _judge_scenery(rig, scenery)
+    yield from _judge_corners(rig.views, stills, scenery)
 
 
 def judge_sizes(rig: Rig, sizes_px: Sequence[tuple[int, int]]) -> Iterator[Finding]:
@@ -103,9 +103,8 @@ def judge_sizes(rig: Rig, sizes_px: Sequence[tuple[int, int]]) -> Iterator[Findi
             yield Finding(Severity.ERROR, Check.REFERENCES, view.name, *wrong)
 
 
-def _judge_scenery(rig: Rig, stills: Sequence[Grey]) -> Iterator[Finding]:
+def _judge_scenery(rig: Rig, scenery: Scenery) -> Iterator[Finding]:
     """Find contradictions between rig and texture of the plane."""
-    scenery = Scenery(rig, stills)
     for k in scenery.plain():
         yield Finding(
             Severity.ERROR,
@@ -123,7 +122,6 @@ def _judge_scenery(rig: Rig, stills: Sequence[Grey]) -> Iterator[Finding]:
         places = list(mistake.points_px)
         name = rig.views[places[0]].name if len(places) == 1 else ""
         yield Finding(severity, Check.REFERENCES, name, what, right)
-    yield from _judge_corners(rig.views, stills, scenery)
     for k, bend in scenery.bends().items():
         yield Finding(Severity.WARNING, Check.LENS, rig.views[k].name, bend.what, bend.right)
 
@@ -156,31 +154,38 @@ def _judge_consistency(name: str, plane_view: PlaneView, points_px: Array) -> It
 
 
 def _judge_corners(
-    views: Sequence[View], stills: Sequence[Grey], scenery: Scenery | None = None
+    views: Sequence[View], stills: Sequence[Grey], scenery: Scenery | None
 ) -> Iterator[Finding]:
     """Find points beside sharp corners, unless the views agree less with a point at its corner."""
     for j, (view, still) in enumerate(zip(views, stills, strict=True)):
         points_px = np.array(view.reference_points_px)
-        for k, point in enumerate(points_px):
-            if _near_hand(view, point):  # whose own outline has corners
-                continue
-            corner = _corner_beside(still, point)
-            if corner is None:
-                continue
-            if scenery is not None:
-                pair = (0, j) if j else (1, 0)
-                moved_px = points_px.copy()
-                moved_px[k] = corner
-                if scenery.agreement_of({j: moved_px}, pair) < scenery.agreement_of({}, pair):
-                    continue  # the corner is another object's
+        for k, corner in _corners_beside(view, still):
+            if scenery is not None and _is_contradicted(scenery, j, points_px, k, corner):
+                continue  # the corner is another object's
             yield Finding(
                 Severity.WARNING,
                 Check.REFERENCES,
                 view.name,
-                f"reference_points_px[{k}] is {math.dist(corner, point):.1f} px off the corner at "
-                f"({corner[0]:.1f}, {corner[1]:.1f})",
+                f"reference_points_px[{k}] is {math.dist(corner, points_px[k]):.1f} px off the "
+                f"corner at ({corner[0]:.1f}, {corner[1]:.1f})",
                 f"below {CORNER_PX[0]:g} px is right, if that corner is meant",
             )
+
+
+def _corners_beside(view: View, still: Grey) -> Iterator[tuple[int, Array]]:
+    """Yield the indices of points beside sharp corners, and those corners."""
+    for k, point in enumerate(np.array(view.reference_points_px)):
+        # A hand's own outline has corners.
+        if not _near_hand(view, point) and (corner := _corner_beside(still, point)) is not None:
+            yield k, corner
+
+
+def _is_contradicted(scenery: Scenery, j: int, points_px: Array, k: int, corner: Array) -> bool:
+    """Whether a view agrees less with another one if its point k lies at a corner."""
+    pair = (0, j) if j else (1, 0)
+    moved_px = points_px.copy()
+    moved_px[k] = corner
+    return scenery.agreement_of({j: moved_px}, pair) < scenery.agreement_of({}, pair)
 
 
 def _near_hand(view: View, point: Array) -> bool:

@@ -9,6 +9,7 @@ from fingerpost.references.markers import MarkersMeter, marker_cells, sheet_mark
 from fingerpost.references.meters import Meter, RectangleMeter
 from fingerpost.references.polygons import contains, signed_area
 from fingerpost.references.rectangles import (
+    LEAST_LIKENESS,
     Candidate,
     find_rectangles,
     likeness,
@@ -22,6 +23,7 @@ from fingerpost.references.watch import ADRIFT_PX, MOVED_PX, TEST_EVERY, Referen
 
 __all__ = [
     "ADRIFT_PX",
+    "LEAST_LIKENESS",
     "MOVED_PX",
     "TEST_EVERY",
     "Candidate",

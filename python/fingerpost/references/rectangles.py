@@ -19,6 +19,7 @@ from fingerpost.references.polygons import contains, is_convex, signed_area
 from fingerpost.references.reduction import Reduction
 from fingerpost.references.segments import Line, find_lines
 from fingerpost.references.sides import Sides, refined
+from fingerpost.uncertainty import blocks_of, largest_sigma
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -33,9 +34,6 @@ MOST_KEPT = 6
 
 LEAST_SIDE = 0.12
 """Least share of a side within the image that has an edge."""
-
-LEAST_SUPPORT = 0.3
-"""Least share of the whole outline within the image that has an edge."""
 
 SMALLEST = 0.002
 """Least area of a rectangle relative to that of the image."""
@@ -56,18 +54,19 @@ EVEN = 0.5
 """Step of a side, relative to the median of the four, below which its score is reduced: the sides
 of a sheet have similar contrasts, the grain of wood beside it has less."""
 
-IMPOSSIBLE = 0.05
+LEAST_LIKENESS = 0.05
 UNLIKE = 0.5
 ASPECT_SIGMA = 0.1
 FOCAL_PARTS = np.geomspace(0.5, 4.0, 13)
 """Likelihood below which a quadrilateral is no image of the rectangle: sheets have 0.93 and more,
 0.65 with a wrong one of A4 and Letter, and quadrilaterals of grain often less than 1e-6; least
-factor of the score by the likelihood; standard deviation of the log ratio of its sides and of their
-angle [rad]; focal lengths, relative to the longer side of the image."""
+factor of the score by the likelihood, for a picture may be cut out of a larger one; standard
+deviation of the log ratio of its sides and of their angle [rad]; focal lengths, relative to the
+longer side of the image."""
 
 MAX_CORNER_SIGMA = 0.02
 """Greatest standard deviation of a corner, relative to the shortest side: 0.001 on wood and 0.01
-of a sheet of which half is covered."""
+of a sheet of which half is covered, 0.02 and more of some quadrilaterals without a sheet."""
 
 APART = 0.02
 """Greatest distance of the corners of equal quadrilaterals, relative to their diagonal."""
@@ -170,23 +169,17 @@ def _fitted(
         tried.append(quad)
         levels = tone(picture, channel_of(picture, quad))
         sides = refined(levels, quad, lens, reach_px=REACH_PX)
-        if sides is None or sides.shares.min() < LEAST_SIDE or sides.support < LEAST_SUPPORT:
+        if sides is None or sides.shares.min() < LEAST_SIDE:
             continue
         if any(_is_same(sides.corners_px, other.sides.corners_px) for other in found):
             continue
         shortest_px = float(np.linalg.norm(np.diff(quad, axis=0, append=quad[:1]), axis=1).min())
-        if _corner_sigma_px(sides) > MAX_CORNER_SIGMA * shortest_px:
+        if max(map(largest_sigma, blocks_of(sides.covariance))) > MAX_CORNER_SIGMA * shortest_px:
             continue
         score = _score(sides, picture.shape, size, near_px)
         if score > 0.0:
             found.append(Candidate(sides, score))
     return sorted(found, key=lambda one: -one.score)[:MOST_KEPT]
-
-
-def _corner_sigma_px(sides: Sides) -> float:
-    """Return the greatest standard deviation of a corner, root mean square of both axes [px]."""
-    variances_px2 = np.diag(sides.covariance).reshape(4, 2).mean(axis=1)
-    return float(np.sqrt(variances_px2.max()))
 
 
 def _score(
@@ -355,9 +348,9 @@ def _clipped(corners: Array, ends: Array, shape: tuple[int, ...]) -> Array:
 
 
 def _likeness(quad: Array, size: tuple[float, float], shape: tuple[int, ...]) -> float:
-    """Return the factor of the score by the likelihood for either order of the sides, 0 to 1."""
+    """Return the factor of the score by the likelihood for the better order of the sides."""
     best = max(likeness(quad, turned, shape) for turned in (size, size[::-1]))
-    return 0.0 if best < IMPOSSIBLE else max(UNLIKE, best)
+    return 0.0 if best < LEAST_LIKENESS else max(UNLIKE, best)
 
 
 def likeness(quad: Array, size: tuple[float, float], shape: tuple[int, ...]) -> float:

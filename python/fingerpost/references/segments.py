@@ -19,7 +19,8 @@ MOST_LINES = 60
 DIRECTIONS = 12
 MOST_A_DIRECTION = 24
 """Greatest number of lines, number of direction bins in the half circle, and greatest number of
-lines per bin; the strongest are kept. Wood has hundreds along its grain."""
+lines per bin; the strongest are kept. Wood has hundreds along its grain: without bins, 22 of 40
+half-covered sheets on it are found instead of 36."""
 
 LEAST_PART = 0.015
 """Least length of a segment, relative to the picture's diagonal."""

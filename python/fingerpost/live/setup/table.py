@@ -35,6 +35,7 @@ from fingerpost.locating import ReferenceSearch
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer
 from fingerpost.references import MarkersMeter, size_scores
 from fingerpost.setting_up import UNIT, reference_of
+from fingerpost.uncertainty import largest_sigma
 
 MAT = "400x400"
 """Assumed size of a square until the user states another."""
@@ -76,8 +77,8 @@ class Points:
         """Greatest standard deviation of any point in any direction."""
         if self.covariances_px2 is None:
             return DEFAULT_REFERENCE_SIGMA_PX
-        matrices = np.array([[[uu, uv], [uv, vv]] for uu, uv, vv in self.covariances_px2])
-        return float(np.sqrt(np.linalg.eigvalsh(matrices).max()))
+        matrices = (np.array([[uu, uv], [uv, vv]]) for uu, uv, vv in self.covariances_px2)
+        return max(map(largest_sigma, matrices))
 
     def as_dict(self) -> dict[str, Any]:
         """Return them as JSON values."""

@@ -466,7 +466,7 @@ export class SetUp {
       ["views", this.picked.map((view) => view.offer.name).join(", ")],
       ["plane", `${PLANES[table.plane] ?? "rectangle"}, ${a} × ${b} mm`],
       ["corners", table.views.map(({ sigma, found }) => `± ${sigma} px ${found ? "found" : "by hand"}`).join("; ")],
-      ["expected errors", advice ? errorsWords(advice).replace(" of the errors", "") : "unknown"],
+      ["expected errors", advice ? errorsWords(advice, "half") : "unknown"],
       ["hand", hand?.found ? "found in every view" : "to be found when it comes"],
       ["your aim", aim?.off === undefined ? "not learned" : `${aim.off} ${aim.unit} beside, ${aim.left} ${aim.unit} after it is taken off`],
     ];

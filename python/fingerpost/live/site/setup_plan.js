@@ -100,10 +100,10 @@ class ErrorMap extends PlanPanel {
 }
 
 // The expected errors in words.
-export function errorsWords({ median, most, unit }) {
+export function errorsWords({ median, most, unit }, half = "half of the errors") {
   return most === null
     ? "no pose of the hand will have a point"
-    : `half of the errors below ${median}\u00a0${unit}, 95\u00a0% below ${most}\u00a0${unit}`;
+    : `${half} below ${median}\u00a0${unit}, 95\u00a0% below ${most}\u00a0${unit}`;
 }
 
 // Legend of the colours of errors.
