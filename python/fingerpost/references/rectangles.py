@@ -253,17 +253,17 @@ def _quadrilaterals(
     met = meets[a[i], a[j]] & meets[a[j], c[i]] & meets[c[i], c[j]] & meets[c[j], a[i]]
     i, j = i[met], j[met]
     sides = np.stack([a[i], a[j], c[i], c[j]], axis=1)
+    scores = _support(lines, t, _extents(points, along, shape), sides)
+    sides, scores = sides[scores > 0.0], scores[scores > 0.0]
     corners = _corners(points, along, t, sides)
     fits = _is_possible(corners, shape)
-    sides, corners = sides[fits], corners[fits]
-    backward = signed_area(corners) < 0.0
-    # In reverse order, the corners ab, da, cd, bc belong to the sides a, d, c, b.
-    sides[backward] = sides[backward][:, [0, 3, 2, 1]]
-    corners[backward] = _corners(points, along, t, sides[backward])
-    scores = _support(lines, points, along, sides, corners, shape)
+    corners, scores = corners[fits], scores[fits]
     scores *= _nearness(corners, near_px, shape)
     best = np.argsort(-scores, kind="stable")[: 4 * MOST_TRIED]
-    return corners[best], scores[best]
+    corners = corners[best]
+    backward = signed_area(corners) < 0.0
+    corners[backward] = corners[backward][:, [1, 0, 3, 2]]
+    return corners, scores[best]
 
 
 def _crossings(points: Array, along: Array) -> Array:
@@ -298,32 +298,29 @@ def _is_possible(corners: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     return np.asarray(is_convex(corners) & large & inside)
 
 
-def _support(
-    lines: list[Line],
-    points: Array,
-    along: Array,
-    sides: NDArray[np.intp],
-    corners: Array,
-    shape: tuple[int, ...],
-) -> Array:
-    """Return scores of outlines: length with edges less the cost of that without [px]."""
-    ends = np.roll(corners, -1, axis=1)
-    seen = _clipped(corners, ends, shape)
-    shown, total = np.zeros(sides.shape), np.zeros(sides.shape)
-    inward = np.zeros(sides.shape)
-    for k, line in enumerate(lines):
-        row, side = np.nonzero(sides == k)
-        stretch = (seen[row, side] - points[k]) @ along[k]
-        low, high = stretch.min(axis=1), stretch.max(axis=1)
-        total[row, side] = high - low
-        shown[row, side] = _covered(line.intervals, high) - _covered(line.intervals, low)
-        heads = (ends[row, side] - corners[row, side]) @ along[k]
-        inward[row, side] = np.sign(heads)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shares = np.where(total > 0.0, shown / total, 0.0)
-    counts = (shares.min(axis=1) > 0.5 * LEAST_SIDE) & (total.min(axis=1) > 5.0)
+def _support(lines: list[Line], t: Array, extents: Array, sides: NDArray[np.intp]) -> Array:
+    """Return scores of outlines: length with edges less the cost of that without [px].
+
+    Parameters
+    ----------
+    lines
+        The K lines.
+    t
+        (K, K) Positions along each line where the others cross it [px].
+    extents
+        (K, 2) First and last position along each line within the picture [px].
+    sides
+        (N, 4) Lines that each outline consists of, in sequence.
+    """
+    seen = np.clip(t, extents[:, :1], extents[:, 1:])
+    covered = np.stack([_covered(line.intervals, at) for line, at in zip(lines, seen, strict=True)])
+    before, after = np.roll(sides, 1, axis=1), np.roll(sides, -1, axis=1)
+    total = np.abs(seen[sides, after] - seen[sides, before])
+    shown = np.abs(covered[sides, after] - covered[sides, before])
+    counts = (shown > 0.5 * LEAST_SIDE * total).all(axis=1) & (total > 5.0).all(axis=1)
     scores = shown.sum(axis=1) - BARE_COST * (total - shown).sum(axis=1)
-    scores *= np.where(np.abs(inward.sum(axis=1)) == 4.0, 1.0, MIXED)
+    inward = np.sign(t[sides, after] - t[sides, before]).sum(axis=1)
+    scores *= np.where(np.abs(inward) == 4.0, 1.0, MIXED)
     return np.where(counts, np.maximum(scores, 0.0), 0.0)
 
 
@@ -333,18 +330,14 @@ def _covered(intervals: Array, t: Array) -> Array:
     return np.asarray((np.clip(t[:, None], begin, end) - begin).sum(axis=1))
 
 
-def _clipped(corners: Array, ends: Array, shape: tuple[int, ...]) -> Array:
-    """Return the ends (N, 4, 2, 2) of the sides clipped to the picture; equal if outside it."""
-    ahead = ends - corners
-    low, high = np.zeros(corners.shape[:2]), np.ones(corners.shape[:2])
-    for axis, last in enumerate((shape[1] - 1.0, shape[0] - 1.0)):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossings = (np.array([0.0, last]) - corners[..., axis, None]) / ahead[..., axis, None]
-        crossings = np.sort(np.nan_to_num(crossings, posinf=1e9, neginf=-1e9), axis=-1)
-        low, high = np.maximum(low, crossings[..., 0]), np.minimum(high, crossings[..., 1])
-    high = np.maximum(low, high)
-    parts = np.stack([low, high], axis=-1)[..., None]
-    return np.asarray(corners[:, :, None] + parts * ahead[:, :, None])
+def _extents(points: Array, along: Array, shape: tuple[int, ...]) -> Array:
+    """Return the first and last position (K, 2) of lines within the picture; equal if none."""
+    last = np.array(shape[1::-1]) - 1.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (np.array([np.zeros(2), last]) - points[:, None]) / along[:, None]
+    t = np.sort(np.nan_to_num(t, posinf=1e9, neginf=-1e9), axis=1)
+    first = t[:, 0].max(axis=1)
+    return np.stack([first, np.maximum(t[:, 1].min(axis=1), first)], axis=1)
 
 
 def _likeness(quad: Array, size: tuple[float, float], shape: tuple[int, ...]) -> float:
