@@ -76,6 +76,7 @@ PYTHON_GROUPS = {
     "zenoh_link": "zenoh_link",
     "formats": "checks",
     "locating": "pipeline",
+    "recognition": "application",
     "cli": "cli",
     "__main__": "cli",
     "_core": "core",

@@ -1,5 +1,6 @@
 """`fingerpost init`: a rig file from films only, and a one-line error for what is not found."""
 
+import os
 import re
 from pathlib import Path
 
@@ -9,12 +10,14 @@ import pytest
 from click.testing import CliRunner
 from sheets import SIZE, corners_of_view, inside, noisy
 from terminals import THE_END, on_a_terminal
+from test_markers import shown
 
 from fingerpost.cli import main
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.formats import sides_of
 from fingerpost.pipeline import Pointer
+from fingerpost.recognition import likelier_size
 from fingerpost.setting_up import plane_size, view_names
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
@@ -123,6 +126,38 @@ def test_the_view_without_a_sheet_is_named(tmp_path):
     assert not (tmp_path / "rig.toml").exists()
 
 
+def test_a_letter_sheet_is_not_taken_for_a4(tmp_path):
+    rng = np.random.default_rng(0)
+    seen = [corners_of_view(rng, size=sides_of("letter", "mm")) for _ in "ab"]
+    # Of one image only, because its sides do not quite fit.
+    films = [film(tmp_path / name, corners, 1) for name, corners in zip("ab", seen, strict=True)]
+    done = init("--from", *films, "--plane", "A4", "-o", tmp_path / "rig.toml")
+    assert done.exit_code == 0, done.output
+    assert "the sides fit letter better than A4; --plane letter takes that size" in done.output
+
+
+def test_a_size_is_preferred_only_if_the_sides_determine_it():
+    shapes = [SIZE[::-1]] * 2
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        a4 = [corners_of_view(rng) + rng.normal(0.0, 0.3, (4, 2)) for _ in shapes]
+        assert likelier_size("A4", a4, shapes) is None
+        assert likelier_size("A3", a4, shapes) is None  # of the same shape
+        assert likelier_size("letter", a4, shapes) in (None, "a4")
+
+
+def test_a_sheet_of_markers_is_named_if_a_rectangle_was_stated(tmp_path):
+    for seed, name in enumerate("ab"):
+        (tmp_path / name).mkdir()
+        rng = np.random.default_rng(seed)
+        # The paper is as light as the table: only its markers show.
+        levels = shown(corners_of_view(rng, distance=(1.5, 2.0)), oversampling=2)
+        cv2.imwrite(str(tmp_path / name / "0.png"), noisy(levels, rng, 2.0))
+    films = [str(tmp_path / name / "*.png") for name in "ab"]
+    done = init("--from", *films, "--plane", "350x220", "-o", tmp_path / "rig.toml")
+    assert "every view shows a sheet of markers; --plane markers measures by it" in done.output
+
+
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
@@ -133,6 +168,8 @@ def test_the_view_without_a_sheet_is_named(tmp_path):
         (("--from", "a.mp4", "b.mp4", "--plane", "0x3"), 'plane is "0x3"'),
         (("--from", "a.mp4", "b.mp4", "--plane", "A4", "--near", "c=1,2"), "no view is called c"),
         (("--from", "a.mp4", "b.mp4", "--plane", "A4", "--near", "a=1"), "such as --near left="),
+        (("--from", "a.mp4", "b.mp4", "--plane", "A4", "-o", "rig.png"), "such as rig.toml"),
+        (("--from", "a.mp4", "b.mp4", "--plane", "A4", "-o", "."), ".: is a folder; name a file"),
     ],
 )
 def test_invalid_arguments_are_refused_in_one_line(tmp_path, monkeypatch, arguments, line):
@@ -167,19 +204,33 @@ def two_films(tmp_path_factory):
 
 
 def test_questions_on_a_terminal_are_repeated_until_answers_are_valid(two_films):
-    with on_a_terminal("init", both=True, asks=True, cwd=two_films) as terminal:
+    environment = {**os.environ, "HOME": str(two_films)}
+    with on_a_terminal("init", both=True, asks=True, cwd=two_films, env=environment) as terminal:
         assert terminal.read_until("View 1.*: $")
         for answer, said in [
             ("c.mp4", r"c.mp4: no such file\s+View 1.*: $"),
-            ("a/*.png", "View 2.*: $"),
+            ("93", r"camera 93: cannot be opened; is it plugged in.*\s+View 1.*: $"),
+            ("old.toml", r"old.toml: no frame can be read.*\s+View 1.*: $"),
+            ("'a/*.png'", "View 2.*: $"),
             ("", "View 2.*: $"),
             ("-", r"a named pipe does\s+View 2.*: $"),
             ("a/*.png", r"each needs a source of its own\s+View 2.*: $"),
-            ("b/*.png", "View 3.*: $"),
+            ('"~/b/*.png"', "View 3.*: $"),
             ("", "table .*: $"),
             ("A9", r'plane is "A9"; needed: A4.*\s+.*table .*: $'),
             ("210x297", "Rig file.*: $"),
-            ("rig.toml", r"corners[\s\S]*right.*: $"),
+            ("a", r"a: is a folder; name a file, such as a/rig.toml\s+Rig file.*: $"),
+            ("rig.png", r"ends in .toml, such as rig.toml\s+Rig file.*: $"),
+            ("x/rig.toml", r"the folder x does not exist.*\s+Rig file.*: $"),
+            ("old.toml", r"old.toml exists. Overwrite.*: $"),
+            ("n", "Rig file.*: $"),
+            ("'rig.toml'", r"corners[\s\S]*right.*: $"),
+            ("n", "Pixel inside.* a=320,240.*: $"),
+            ("c=1,2", r"no view is called c; they are a, b\s+Pixel.*: $"),
+            ("left", r"such as --near left=320,240\s+Pixel.*: $"),
+            ("", "table .*: $"),
+            ("60x400", r"no rectangle is found.*\s+.*table .*: $"),
+            ("A4", r"corners[\s\S]*right.*: $"),
         ]:
             terminal.answer(answer)
             assert re.search(said, terminal.read_until(said))

@@ -18,9 +18,10 @@ from fingerpost.capture import Frame, Loss, is_url, resolve_source
 from fingerpost.config import MarkersReference, Pair, Plane, RectangleReference, Rig, View
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.formats import NAMES, SIZES_MM, Size, corners_of, sides_of
-from fingerpost.locating import shows_throughout, sides_of_plane
+from fingerpost.locating import ReferenceSearch, shows_throughout, sides_of_plane
 from fingerpost.pipeline import Pointer, Step, steps
 from fingerpost.pointing import FingerLine, Status
+from fingerpost.recognition import likelier_size, shows_markers
 from fingerpost.recording.picture import Composition
 from fingerpost.references import contains, find_rectangles
 from fingerpost.uncertainty import largest_sigma
@@ -50,6 +51,8 @@ class SetUp:
         (H, W, 3) The frames with the results drawn into them, blue-green-red.
     lines
         Description of the results in each view, for people.
+    hints
+        What else lies on the table than was stated, and how to state that.
     without_hand
         Names of the views in which no hand was seen.
     """
@@ -57,6 +60,7 @@ class SetUp:
     rig: Rig
     picture: NDArray[np.uint8]
     lines: tuple[str, ...]
+    hints: tuple[str, ...]
     without_hand: tuple[str, ...]
 
 
@@ -189,9 +193,10 @@ def set_up(rig: Rig, frames: Iterator[Sequence[Frame | Loss | None]]) -> SetUp:
     """
     pointer = Pointer(rig)
     best, most, in_a_row = None, -1, 0
-    last: Step | None = None
-    for step in steps(pointer, frames):
-        last = step
+    why = "no frame of all views could be read"
+    newest: dict[int, Frame] = {}
+    for step in steps(pointer, _noting(frames, newest)):
+        why = step.fix.reason
         if not pointer.sees_plane:
             continue
         count = sum(isinstance(seen.finger, FingerLine) for seen in step.observations)
@@ -202,10 +207,50 @@ def set_up(rig: Rig, frames: Iterator[Sequence[Frame | Loss | None]]) -> SetUp:
         if in_a_row == SURE_FRAMES:
             best = step
             break
-    if best is None:
-        why = "no frame of all views could be read" if last is None else last.fix.reason
-        raise NotFoundError(why)
-    return _set_up_from(pointer, best)
+    if best is not None:
+        return _set_up_from(pointer, best)
+    pictures = {k: frame.image for k, frame in newest.items()}
+    # Of a few images, the newest one decides.
+    found = (
+        ReferenceSearch(rig, images=1).look(pictures) if len(pictures) == len(rig.views) else None
+    )
+    if found is not None:
+        return set_up(found, iter([[newest[k] for k in range(len(rig.views))]]))
+    raise NotFoundError("; ".join([why, *_marker_hints(rig, list(pictures.values()))]))
+
+
+def _noting(
+    frames: Iterator[Sequence[Frame | Loss | None]], newest: dict[int, Frame]
+) -> Iterator[Sequence[Frame | Loss | None]]:
+    """Yield frames, and note the newest one of each view."""
+    for together in frames:
+        newest.update({k: one for k, one in enumerate(together) if isinstance(one, Frame)})
+        yield together
+
+
+def _marker_hints(rig: Rig, pictures: Sequence[NDArray[np.uint8]]) -> list[str]:
+    """Return a hint if a rectangle was stated and every view shows a sheet of markers."""
+    reference = rig.views[0].reference
+    if not isinstance(reference, RectangleReference) or len(pictures) < len(rig.views):
+        return []
+    if not all(map(shows_markers, pictures)):
+        return []
+    return ["every view shows a sheet of markers; --plane markers measures by it"]
+
+
+def _size_hints(rig: Rig, pictures: Sequence[NDArray[np.uint8]]) -> list[str]:
+    """Return a hint if another named size fits the sides of the rectangle clearly better."""
+    reference = rig.views[0].reference
+    if not isinstance(reference, RectangleReference) or len(pictures) < len(rig.views):
+        return []
+    size = reference.size
+    if not isinstance(size, str):
+        return []
+    quads = [np.array(view.reference_points_px, np.float64) for view in rig.views]
+    better = likelier_size(size, quads, [picture.shape for picture in pictures])
+    if better is None:
+        return []
+    return [f"the sides fit {better} better than {size}; --plane {better} takes that size"]
 
 
 def _other_rectangles(view: View, size: tuple[float, float], frame: Frame) -> list[Pair]:
@@ -242,4 +287,6 @@ def _set_up_from(pointer: Pointer, best: Step) -> SetUp:
                 for u, v in _other_rectangles(view, sides_of_plane(rig), seen.frame)
             ]
     picture = composition.draw(best.observations, best.fix, plane_views=views)
-    return SetUp(rig, picture, tuple(lines), tuple(without))
+    pictures = [seen.frame.image for seen in best.observations if seen.frame is not None]
+    hints = _marker_hints(rig, pictures) or _size_hints(rig, pictures)
+    return SetUp(rig, picture, tuple(lines), tuple(hints), tuple(without))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +15,17 @@ import click
 from fingerpost.cli.live_views import give_up_option, hush_streams
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.progress import watched
-from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.cli.questions import answered, confirmed, is_terminal
+from fingerpost.errors import InvalidInputError
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
 if TYPE_CHECKING:
     from fingerpost.config import Rig
     from fingerpost.setting_up import SetUp
+
+RIG_FILE = "rig.toml"
+"""Name of the rig file unless another is given."""
 
 _FILE = click.Path(path_type=Path)
 
@@ -100,36 +104,79 @@ def init(
     with ending_at_once():
         need_opencv()
         from fingerpost.recording import check_picture, write_picture
-        from fingerpost.setting_up import reference_of, rig_of
 
-    asks = _is_terminal()
-    given = list(sources) or _asked_sources(asks)
-    words = plane or _asked(
-        asks, "--plane", "Size of the rectangle on the table", "A4", check=reference_of
-    )
-    output = output or Path(_asked(asks, "-o", "Rig file", "rig.toml") if asks else "rig.toml")
-    picture = picture or output.with_suffix(".png")
-    rig = rig_of([_source(name) for name in given], reference_of(words), _near(near))
-    keep_apart({"-o": output, "--picture": picture}, [*rig_files(output, rig)][1:])
+    asks = is_terminal()
+    names = list(sources) or _asked_sources(asks)
+    search = _Search(names, plane or _asked_plane(asks), _near(near), asks and not plane)
+    rig = search.rig()
+    rig_file = _rig_file(output, asks=asks, force=force)
+    picture = picture or rig_file.with_suffix(".png")
+    keep_apart({"-o": rig_file, "--picture": picture}, [*rig_files(rig_file, rig)][1:])
     check_picture(picture)
-    may_write = force or not output.exists()
-    may_write = may_write or (asks and _confirmed(f"{output} exists. Overwrite?", default=False))
-    if not may_write:
-        raise InvalidInputError(f"{output}: exists already; --force writes over it")
-    found = _found(rig, frames, give_up_after_s)
-    write_picture(picture, found.picture)
-    click.echo("\n".join(found.lines))
-    click.echo(f"picture   {picture}")
-    if asks and not _confirmed("Is that right?", default=True):
-        raise InvalidInputError("--near VIEW=U,V says which rectangle is meant")
-    found.rig.save(output)
-    click.echo(f"rig file  {output}")
+    while True:
+        found = search.result(frames, give_up_after_s)
+        write_picture(picture, found.picture)
+        click.echo("\n".join([*found.lines, *found.hints]))
+        click.echo(f"picture   {picture}")
+        if not asks or confirmed("Is that right?", default=True):
+            break
+        search.correct()
+    found.rig.save(rig_file)
+    click.echo(f"rig file  {rig_file}")
     for name in found.without_hand:
         click.echo(
             f'fingerpost: view "{name}": no hand is found; hold it over the table with the index '
             "finger out, in sight of every camera",
             err=True,
         )
+
+
+@dataclass
+class _Search:
+    """What is searched for, which a user at a terminal may correct."""
+
+    names: Sequence[str]
+    plane: str
+    near_px: dict[str, tuple[float, float]]
+    asks_again: bool
+    """Whether a plane that is not found is asked for again."""
+
+    def rig(self) -> Rig:
+        """Return the rig whose references are to be found."""
+        from fingerpost.setting_up import reference_of, rig_of
+
+        sources = [_source(name) for name in self.names]
+        return rig_of(sources, reference_of(self.plane), self.near_px)
+
+    def result(self, frames: int | None, give_up_after_s: float | None) -> SetUp:
+        """Search until the references are found."""
+        from fingerpost.setting_up import NotFoundError
+
+        while True:
+            try:
+                return _found(self.rig(), frames, give_up_after_s)
+            except NotFoundError as error:
+                if not self.asks_again:
+                    raise
+                click.echo(f"fingerpost: {error}", err=True)
+                self.plane = _asked_plane(asks=True)
+
+    def correct(self) -> None:
+        """Ask which rectangle is meant, or else for its size."""
+        from fingerpost.config import RectangleReference
+
+        view = self.rig().views[0]
+        if isinstance(view.reference, RectangleReference):
+            question = f"Pixel inside the right one, as {view.name}=320,240 (empty: another size)"
+            if answer := answered(question, self._check_near, default="", show_default=False):
+                self.near_px |= _near((answer,))
+                return
+        self.near_px.clear()
+        self.plane = _asked_plane(asks=True)
+
+    def _check_near(self, answer: str) -> None:
+        if answer:
+            replace(self, near_px=_near((answer,))).rig()
 
 
 def _found(rig: Rig, count: int | None, give_up_after_s: float | None) -> SetUp:
@@ -148,16 +195,47 @@ def _found(rig: Rig, count: int | None, give_up_after_s: float | None) -> SetUp:
         return set_up(rig, watched(frames, most, "looking"))
 
 
-def _is_terminal() -> bool:
-    return all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr))
+def _asked_plane(asks: bool) -> str:
+    from fingerpost.setting_up import reference_of
 
-
-def _asked(
-    asks: bool, option: str, question: str, default: str, check: Callable[[str], object] = str
-) -> str:
     if not asks:
-        raise click.UsageError(f"{option} is missing; such as {option} {default}")
-    return _answered(question, check, default=default)
+        raise click.UsageError("--plane is missing; such as --plane A4")
+    return answered("Size of the rectangle on the table", reference_of, default="A4")
+
+
+def _rig_file(given: Path | None, *, asks: bool, force: bool) -> Path:
+    """Return the rig file; on a terminal, ask for another if one may not be written over."""
+    if given is not None:
+        _check_rig_file(str(given))
+    path = given or (_asked_rig_file() if asks else Path(RIG_FILE))
+    # Path.exists would raise for a name that is too long.
+    while not force and os.path.exists(path):  # noqa: PTH110
+        if not asks:
+            raise InvalidInputError(f"{path}: exists already; --force writes over it")
+        if confirmed(f"{path} exists. Overwrite?", default=False):
+            break
+        path = _asked_rig_file()
+    return path
+
+
+def _asked_rig_file() -> Path:
+    return _path(answered("Rig file", _check_rig_file, default=RIG_FILE))
+
+
+def _check_rig_file(answer: str) -> None:
+    """Refuse a name that is a folder's, or that names another kind of file."""
+    path = _path(answer)
+    # Path.is_dir would raise for a name that is too long.
+    if os.path.isdir(path):  # noqa: PTH112
+        raise InvalidInputError(f"{answer}: is a folder; name a file, such as {path / RIG_FILE}")
+    if not os.path.isdir(path.parent):  # noqa: PTH112
+        raise InvalidInputError(
+            f"{answer}: the folder {path.parent} does not exist; name a file in an existing folder"
+        )
+    if path.suffix.lower() not in ("", ".toml"):
+        raise InvalidInputError(
+            f"{answer}: a rig file's name ends in .toml, such as {path.with_suffix('.toml')}"
+        )
 
 
 def _asked_sources(asks: bool) -> list[str]:
@@ -172,45 +250,14 @@ def _asked_sources(asks: bool) -> list[str]:
         is_enough = len(names) >= 2
         question += " (empty: no more)" if is_enough else ""
         options: dict[str, Any] = {"default": "", "show_default": False} if is_enough else {}
-        answer = _answered(question, partial(_check_source, names), **options)
+        answer = answered(question, partial(_check_source, names), **options)
         if not answer:
             return names
         names.append(answer)
 
 
-def _answered(question: str, check: Callable[[str], object], **options: Any) -> str:
-    """Ask until an answer passes its check."""
-
-    def checked(answer: str) -> str:
-        answer = answer.strip()
-        try:
-            check(answer)
-        except FingerpostError as error:
-            # Makes click ask again.
-            raise click.UsageError(str(error)) from error
-        return answer
-
-    with _ended_line():
-        return str(click.prompt(question, value_proc=checked, err=True, **options))
-
-
-def _confirmed(question: str, *, default: bool) -> bool:
-    with _ended_line():
-        return click.confirm(question, default=default, err=True)
-
-
-@contextmanager
-def _ended_line() -> Iterator[None]:
-    """Begin a new line if a prompt is not answered because of Ctrl-C or the end of input."""
-    try:
-        yield
-    except click.Abort:
-        click.echo(err=True)
-        raise
-
-
 def _check_source(before: Sequence[str], answer: str) -> None:
-    """Refuse a file that does not exist, or that another view reads."""
+    """Refuse a source that cannot be opened, or that another view reads."""
     from fingerpost.capture import is_camera_name, is_url, refuse_repeated, source_files
 
     if not answer and len(before) >= 2:
@@ -227,6 +274,17 @@ def _check_source(before: Sequence[str], answer: str) -> None:
     ):
         raise InvalidInputError(f"{answer}: no such file")
     refuse_repeated({f"view {k + 1}": _source(name) for k, name in enumerate([*before, answer])})
+    _check_opens(source)
+
+
+def _check_opens(source: str | int) -> None:
+    """Open a source; but a pipe, whose writer a reader that leaves would end."""
+    from fingerpost.capture import open_source
+
+    if isinstance(source, str) and Path(source).is_fifo():
+        return
+    hush_streams({"": source})
+    open_source(source).close()
 
 
 def _show_cameras() -> None:
@@ -238,7 +296,14 @@ def _show_cameras() -> None:
 
 
 def _source(name: str) -> str | int:
-    return int(name) if name.isascii() and name.isdecimal() else name
+    """Return the source that a name stands for; a shell leaves "~" in quotes as it is."""
+    if name.isascii() and name.isdecimal():
+        return int(name)
+    return os.path.expanduser(name)  # noqa: PTH111 - a URL is no path
+
+
+def _path(name: str) -> Path:
+    return Path(os.path.expanduser(name))  # noqa: PTH111 - Path.expanduser raises without a home
 
 
 def _near(given: tuple[str, ...]) -> dict[str, tuple[float, float]]:

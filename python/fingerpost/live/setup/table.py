@@ -33,7 +33,8 @@ from fingerpost.live.setup.asked import Arrange, Chosen, Pair
 from fingerpost.live.setup.offers import Offer, Offers
 from fingerpost.locating import ReferenceSearch
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer
-from fingerpost.references import MarkersMeter, size_scores
+from fingerpost.recognition import shows_markers
+from fingerpost.references import size_scores
 from fingerpost.setting_up import UNIT, reference_of
 from fingerpost.uncertainty import largest_sigma
 
@@ -261,9 +262,7 @@ def guessed(pictures: Sequence[NDArray[np.uint8]]) -> str:
     A sheet of markers is recognised in any picture. Rectangles are recognised by their aspect
     ratio in all pictures together; their size is the usual one of that shape.
     """
-    sides = sides_of("A4", UNIT)
-    meter = MarkersMeter(sides, 1, np.array(corners_of(sides)))
-    if any(meter.search(picture) is not None for picture in pictures):
+    if any(map(shows_markers, pictures)):
         return MARKERS
     sizes = [sides_of(reference_of(plane).size, UNIT) for plane in GUESSED]
     scores = np.array([size_scores(picture, sizes) for picture in pictures])
