@@ -356,10 +356,16 @@ def test_keys_are_shown_and_theme_and_edges_follow_them(opened):
 def test_when_fingerpost_ends_the_page_says_so(browser):
     with served() as running:
         page = Open(browser, running)
+        page.at(50)
+        page.until("document.querySelector('#point').offsetParent")
         running.process.terminate()
         running.end()
         page.until("document.documentElement.classList.contains('cut-off')")
         assert "No connection" in page.text("#message")
+        # The last point does not stay as if it were the present one.
+        assert page.text("#words") == "no connection"
+        assert not page.page.is_visible("#point")
+        assert page.page.locator(".point-mark:visible, .finger:visible").count() == 0
         page.context.close()
 
 

@@ -14,6 +14,12 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium, Debian
 RESTS = "document.querySelector('#doing').textContent.startsWith('rig.toml goes to')"
 KNOWN = "document.querySelector('#words').textContent === 'the table is known'"
 MOST_CLICKS = 8
+SLIDE_TO = """(mm) => {
+  for (const slider of document.querySelectorAll('.slide input')) {
+    slider.value = mm;
+    slider.dispatchEvent(new Event('input'));
+  }
+}"""
 
 
 @pytest.fixture
@@ -112,10 +118,24 @@ def test_corners_can_be_clicked_and_a_wrong_order_is_named(browser, films):  # n
         assert "decode" in page.text(".offer:disabled small")
         assert page.text("#words") == "pick two views, or more"
         assert unclean(page.page) == []
+        page.press("3")
+        assert page.page.locator(".step:enabled").count() == 1
+        assert page.text(".step[aria-current=step] b") == "Views"
         for name in ("left", "right"):
             page.page.click(f".offer:has-text('{name}')")
         page.press("n")
         page.until(KNOWN)
+        page.page.select_option("select", "markers")
+        assert page.page.locator(".pane .handle").count() == 0
+        page.until(f"{RESTS} && document.querySelector('#words').textContent.startsWith('not')")
+        assert page.text("#words") == "not found in left"
+        assert "no marker of sheet 1 is found" in page.text("#detail")
+        assert page.page.locator(".step:enabled").count() == 2
+        assert page.page.is_disabled("#next")
+        page.page.select_option("select", "other")
+        page.page.evaluate(SLIDE_TO, 400)
+        page.until(f"{KNOWN} && {RESTS} && document.querySelectorAll('.pane .handle').length === 8")
+        assert "found" in page.text(".pane .left >> nth=0")
         page.page.click("text=Click corners myself")
         assert page.text("#words") == "click corner 1 in left"
         click_corners(page, 0, truth.views[0].reference_points_px)
@@ -169,6 +189,11 @@ def test_recordings_are_dropped_onto_the_page(browser, films, tmp_path):  # noqa
         assert page.page.locator(".pane").count() == 2
         assert page.page.evaluate("document.documentElement.scrollWidth") <= PHONE[0]
         assert unclean(page.page) == []
-        page.close()
+        assert page.complaints == []
+        running.process.terminate()
+        running.end()
+        page.until("document.querySelector('#words').textContent.startsWith('no connection')")
+        assert page.page.is_disabled("#begin")
+        page.context.close()
     for name in ("left.mp4", "right.mp4"):
         assert (tmp_path / "empty" / name).read_bytes() == (films / name).read_bytes()

@@ -1,6 +1,7 @@
 """The steps of a set-up without a browser."""
 
 import dataclasses
+import re
 import shutil
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from fingerpost.live.setup.dialogue import set_up
 from fingerpost.live.setup.hand import held_wrong
 from fingerpost.live.setup.offers import Offers
 from fingerpost.live.setup.table import guessed, judged
+from fingerpost.live.setup.wording import page_words
 from fingerpost.operators import Operator
 from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
 
@@ -164,6 +166,29 @@ def test_a_calibration_that_is_stopped_learns_nothing():
         aimed = learn(rig, iter(read_views(sources)), lambda: True, lambda *_: None)
     assert aimed.operator is None
     assert aimed.state["visits"] == []
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        ("reference_points_px[2] is 4.0 px off the corner", "corner 3 is 4.0 px off the corner"),
+        ("reference_points_px [0, 3] would lie behind", "corner 1, 4 would lie behind"),
+        ("points are to be taken in the order [1, 0, 3, 2]", "taken in the order 2, 1, 4, 3"),
+        (
+            'view "a": reference_points_px = [[1.0, 2.0], [3.0, 4.0]] would be right',
+            'view "a": corners at [1.0, 2.0], [3.0, 4.0] would be right',
+        ),
+        ("lens = { fx = 9, k1 = 0.1 } makes them straight", "an estimated lens makes them"),
+        (
+            "hold the hand where the template waits, or correct tip_px, angle_deg and length_px",
+            "or move, turn and scale the template",
+        ),
+        ("offset_s = -0.20 more in its [[view]] brings them", "-0.20 s more in its times bring"),
+    ],
+)
+def test_messages_name_no_key_of_the_rig_file(message, words):
+    assert words in page_words(message)
+    assert not re.search(r"_px|_s\b|_deg|plane\.points|\[\[?view|\w = ", page_words(message))
 
 
 def test_names_of_existing_files_are_not_used(tmp_path):

@@ -13,6 +13,7 @@ from fingerpost.calibration import Calibration, Place, habit_of
 from fingerpost.capture import Frame, Loss
 from fingerpost.config import Rig
 from fingerpost.habit import MIN_TARGETS, Habit
+from fingerpost.live.setup.wording import page_words
 from fingerpost.operators import Operator
 from fingerpost.pipeline import Pointer, Step, steps
 
@@ -114,5 +115,5 @@ def _state(
         "visits": [np.round(visit.point, 2).tolist() for visit in calibration.visits],
         "share": round(calibration.stayed, 2),
         "point": None if point is None else np.round(point, 2).tolist(),
-        "words": "" if step is None or point is not None else step.fix.reason,
+        "words": "" if step is None or point is not None else page_words(step.fix.reason),
     }

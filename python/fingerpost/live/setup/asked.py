@@ -53,11 +53,14 @@ class Arrange(_Asked, frozen=True, tag="arrange"):
         recognise it in the pictures.
     finds
         Whether to search for the references of views without points.
+    number
+        Number by which the page recognises the result among those of earlier arrangements.
     """
 
     views: tuple[Chosen, ...]
     plane: str = ""
     finds: bool = False
+    number: int = 0
 
 
 class LookForHand(_Asked, frozen=True, tag="hand"):

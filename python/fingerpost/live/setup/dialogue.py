@@ -25,6 +25,7 @@ from fingerpost.live.setup.asked import Aim, Arrange, Begin, Chosen, Dropped, Le
 from fingerpost.live.setup.hand import look_for_hand, templates
 from fingerpost.live.setup.offers import MOST_OFFERS, Offers, sources_in
 from fingerpost.live.setup.table import Table, judged, planes, scene_of_plane
+from fingerpost.live.setup.wording import page_words
 from fingerpost.operators import Operator
 from fingerpost.pipeline import Step
 from fingerpost.setting_up import DEFAULT_FRAMES
@@ -137,7 +138,7 @@ class Dialogue:
                 case Leave():
                     pass
         except FingerpostError as error:
-            self._publish(problem=str(error))
+            self._publish(problem=page_words(str(error)))
         finally:
             self._publish(busy="")
         return None
@@ -154,7 +155,7 @@ class Dialogue:
         )
 
     def _arrange(self, wanted: Arrange) -> None:
-        before = self._table.as_dict()
+        before = {**self._table.as_dict(), "number": wanted.number}
         self._publish(busy="looking for the table" if wanted.finds else "judging")
         self._table.arrange(wanted, self._offers)
         if self._table.as_dict() == before:

@@ -15,6 +15,7 @@ from fingerpost._core import StartPose, Template
 from fingerpost.capture import Frame, Loss
 from fingerpost.config import Rig, Start, View
 from fingerpost.doctor.hand import FINGER_PX, judge_hand, read_hand
+from fingerpost.live.setup.wording import page_words
 from fingerpost.pipeline import Observation, Pointer, Step, steps
 from fingerpost.pointing import FingerLine, Status
 from fingerpost.recording.picture.shapes import ahead, with_gaps
@@ -136,19 +137,19 @@ def held_wrong(view: View, start: Start, frames: Sequence[Frame]) -> str:
     readings = read_hand(list(frames), start)
     height, width = frames[0].image.shape[:2]
     wrong = next(judge_hand(view.name, readings, start, (width, height), len(frames)), None)
-    return "" if wrong is None else f"{wrong.what}; {wrong.right}"
+    return "" if wrong is None else page_words(f"{wrong.what}; {wrong.right}")
 
 
 def _seen(seen: Observation) -> dict[str, Any]:
     """Return the hand in a view, in pixels of its frames, as JSON values."""
     if seen.frame is None:
-        return {"words": seen.reasons[0]}
+        return {"words": page_words(seen.reasons[0])}
     height, width = seen.frame.image.shape[:2]
     whole = seen.reduction.whole
     finger = seen.finger
     found: dict[str, Any] = {"contour": _polylines(whole(with_gaps(seen.contour_px)))}
     if not isinstance(finger, FingerLine):
-        found["words"] = seen.reasons[0]
+        found["words"] = page_words(seen.reasons[0])
         return found
     corners = np.array([[-0.5, -0.5], [width - 0.5, height - 0.5]])
     length_px = seen.reduction.factor * 2.0 * math.dist(finger.anchor_px, finger.tip_px)

@@ -31,7 +31,8 @@ from fingerpost.formats import SIZES_MM, corners_of, sides_of
 from fingerpost.live.scene import RigScene
 from fingerpost.live.setup.asked import Arrange, Chosen, Pair
 from fingerpost.live.setup.offers import Offer, Offers
-from fingerpost.locating import ReferenceSearch
+from fingerpost.live.setup.wording import page_words
+from fingerpost.locating import ReferenceSearch, absence
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer
 from fingerpost.recognition import shows_markers
 from fingerpost.references import size_scores
@@ -104,12 +105,15 @@ class Table:
         Their reference points.
     missing
         Missing reference and remedy, by view.
+    number
+        Number of the last arrangement.
     """
 
     plane: str = ""
     chosen: tuple[Chosen, ...] = ()
     points: list[Points] = field(default_factory=list)
     missing: dict[int, str] = field(default_factory=dict)
+    number: int = 0
 
     @property
     def is_complete(self) -> bool:
@@ -124,6 +128,7 @@ class Table:
         InvalidInputError
             A view that is not offered, or an invalid plane.
         """
+        self.number = wanted.number
         for view in wanted.views:
             if not 0 <= view.offer < len(offers) or offers[view.offer].problem:
                 raise InvalidInputError(f"view {view.offer} is none of those that are offered")
@@ -156,7 +161,7 @@ class Table:
         rig = _open_rig(self.plane, self.chosen, self.points, offers)
         search = ReferenceSearch(rig, images=1)
         found = search.look(pictures)
-        self.missing = search.missing
+        self.missing = {k: absence(rig.views[k]) for k in search.missing}
         if self.missing and len(self.missing) < len(rig.views):
             # Use the views that do show it.
             shown = [k for k in range(len(rig.views)) if k not in self.missing]
@@ -210,6 +215,7 @@ class Table:
         return {
             "plane": self.plane,
             "sides": sides,
+            "number": self.number,
             "views": [
                 {"offer": view.offer, **points.as_dict(), "missing": self.missing.get(k, "")}
                 for k, (view, points) in enumerate(zip(self.chosen, self.points, strict=True))
@@ -317,15 +323,15 @@ def judged(rig: Rig, offers: Sequence[Offer]) -> tuple[dict[str, Any] | None, li
     """
     frames = [list(offer.frames) for offer in offers]
     words = [
-        Words(found.severity.value, found.view, f"{found.what}; {found.right}")
+        Words(found.severity.value, found.view, page_words(f"{found.what}; {found.right}"))
         for found in examine(structs.replace(rig, views=_without_starts(rig)), frames).findings
     ]
     try:
         advice = advise(rig, [offer.size_px for offer in offers], _ADVICE)
     except FingerpostError as error:
-        return None, [*words, Words("error", "", str(error))]
+        return None, [*words, Words("error", "", page_words(str(error)))]
     words += [
-        Words("warning", flag.view, flag.text)
+        Words("warning", flag.view, page_words(flag.text))
         for flag in advice.flags
         if flag.concern not in _EXPECTED
     ]

@@ -46,6 +46,7 @@ function onState(received) {
   if (received.setup) return setUp.show(received.setup);
   setUp.hide();
   if (!rig) return;
+  showStale();
   robot.show(received.arm, received.controls);
   timeline.take(received);
   bookmarks.setTotal(received.total);
@@ -80,12 +81,17 @@ function onRefused(words) {
 function onConnected(connected) {
   isConnected = connected;
   document.documentElement.classList.toggle("cut-off", !connected);
-  if (!connected) {
-    robot.letGo();
-    statusLine.setStatus("lost", "cut off");
-  }
-  else if (rig) statusLine.showStatus();
+  if (!connected) robot.letGo();
+  setUp.connect(connected);
+  if (!setUp.isOpen) showStale();
   showMessage();
+}
+
+// Without a connection, and after the last frame of cameras, the last moment is past.
+function showStale() {
+  const why = !isConnected ? { badge: "cut off", words: "no connection", detail: "" } : rig?.live && state?.ended ? { badge: "ended", words: "ended", detail: state.ended } : null;
+  document.documentElement.classList.toggle("stale", Boolean(why));
+  statusLine.halt(why);
 }
 
 function clock(scene) {

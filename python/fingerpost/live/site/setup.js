@@ -34,6 +34,9 @@ export class SetUp {
     this.offers = [];
     this.picked = [];
     this.awaited = new Set(); // dropped recordings that are not offered yet
+    this.number = Date.now(); // of arrangements; unlike those of other pages
+    this.asked = null; // number of an arrangement whose result has not come
+    this.isConnected = true;
     this.step = "views";
     this.refused = { words: "", until: 0 };
     this.plan = new SetUpPlan($("setup-plan"));
@@ -113,12 +116,18 @@ export class SetUp {
     this.plane = this.sliders.map(({ slider }) => slider.value).join("x");
     this.showPlane(this.sliders.map(({ slider }) => Number(slider.value)));
     clearTimeout(this.slides);
-    this.slides = setTimeout(() => this.arrange(this.open.length > 0), SLIDES_PAUSE_MS);
+    this.slides = setTimeout(() => this.findFound(), SLIDES_PAUSE_MS);
   }
 
   findAgain() {
     for (const view of this.picked) view.clear(false);
     this.arrange(true);
+  }
+
+  // Corners that were found for other sides may be those of another rectangle.
+  findFound() {
+    for (const view of this.picked) if (!view.isByHand) view.clear(false);
+    this.arrange(this.open.length > 0);
   }
 
   clickMyself() {
@@ -149,9 +158,8 @@ export class SetUp {
     this.showOffers(setup);
     if (!this.picked.length && setup.table.views.length) this.restore(setup);
     this.plane ??= setup.table.plane || undefined;
-    for (const known of setup.table.views) {
-      this.picked.find((view) => view.number === known.offer)?.take(known);
-    }
+    if (setup.table.number === this.asked) this.asked = null;
+    if (this.asked === null) this.takeTable(setup.table);
     if (isOtherPlane && setup.table.sides) {
       this.plane = setup.table.plane;
       this.showPlane(setup.table.sides);
@@ -166,6 +174,10 @@ export class SetUp {
       if (!setup.hand && !setup.problem) this.send({ do: "hand" });
     }
     this.say();
+  }
+
+  takeTable({ views }) {
+    for (const known of views) this.picked.find((view) => view.number === known.offer)?.take(known);
   }
 
   // Restores the picked views on a page that is opened later or again.
@@ -291,7 +303,8 @@ export class SetUp {
       points_px: points.length === CORNERS ? points : [],
       ...(held && { held }),
     }));
-    this.send({ do: "arrange", views, plane: this.plane ?? "", finds });
+    this.asked = ++this.number;
+    this.send({ do: "arrange", views, plane: this.plane ?? "", finds, number: this.asked });
     this.say();
   }
 
@@ -302,7 +315,14 @@ export class SetUp {
     if (STEPS[k]) this.choose(STEPS[k][0]);
   }
 
+  // Every step needs the views, and those after the table need it.
+  allows(step) {
+    if (step === "views") return true;
+    return this.picked.length >= 2 && (step === "table" || this.isReady);
+  }
+
   choose(step) {
+    if (!this.allows(step)) return;
     this.hasChosen = true;
     this.enter(step);
   }
@@ -331,6 +351,7 @@ export class SetUp {
   }
 
   refuse(words) {
+    this.asked = null;
     this.refused = { words, until: performance.now() + REFUSED_FOR_MS };
     this.say();
   }
@@ -347,10 +368,16 @@ export class SetUp {
     event.preventDefault();
   }
 
+  connect(isConnected) {
+    this.isConnected = isConnected;
+    this.asked = null;
+    this.say();
+  }
+
   // --- messages -------------------------------------------------------------------------------
 
   say() {
-    if (!this.state) return;
+    if (!this.state || !this.isOpen) return;
     const { busy, problem, words, advice } = this.state;
     const [title, detail, status, badge] = this.headline();
     $("point").hidden = true;
@@ -364,9 +391,10 @@ export class SetUp {
     const refused = performance.now() < this.refused.until ? this.refused.words : "";
     setText($("doing"), refused || this.dropping || problem || (busy ? `${busy} …` : `rig.toml goes to ${this.state.folder}`));
     $("doing").classList.toggle("bad", Boolean(refused || problem));
-    $("begin").disabled = !this.isReady || busy === "beginning";
+    $("begin").disabled = !this.isConnected || !this.isReady || busy === "beginning";
     $("previous").disabled = this.step === "views";
-    $("next").disabled = this.step === "save" || (this.step === "views" && this.picked.length < 2) || (this.step === "table" && !this.isReady);
+    const next = STEPS[STEPS.findIndex(([step]) => step === this.step) + 1];
+    $("next").disabled = !next || !this.allows(next[0]);
     legend($("legend"), this.step === "aim" ? null : advice);
     this.sayAsks();
     this.sayWrong(words);
@@ -376,6 +404,7 @@ export class SetUp {
 
   headline() {
     const { busy, problem, hand, aim, advice, table } = this.state;
+    if (!this.isConnected) return ["no connection to fingerpost", "if it was started anew, open the address that it prints", "lost", "cut off"];
     if (problem) return ["that cannot be", problem, "lost", "no"];
     if (busy && !this.isLooking && this.step !== "views") return [busy, "this takes some seconds", "acquiring", "set-up"];
     const waiting = (title, detail) => [title, detail, "waiting", "set-up"];
@@ -388,7 +417,8 @@ export class SetUp {
     if (this.step === "views") return done(`${this.picked.length} views`, "next: the table");
     if (open) {
       const missing = table.views.find(({ offer, missing }) => missing && offer === open.number)?.missing;
-      return waiting(`click corner ${open.points.length + 1} in ${open.offer.name}`, missing || "around a sheet or a mat on the table, the same corner first in every view");
+      if (missing && !open.points.length) return waiting(`not found in ${open.offer.name}`, `${missing}; or click its corners`);
+      return waiting(`click corner ${open.points.length + 1} in ${open.offer.name}`, "around a sheet or a mat on the table, the same corner first in every view");
     }
     if (this.step === "table" && this.isContradicted) return waiting("the corners look wrong", "see below what contradicts them; drag them to the right places");
     if (this.step === "table") return done("the table is known", advice ? errorsWords(advice) : "drag a corner to move it, or use the arrow keys on it");
@@ -451,6 +481,8 @@ export class SetUp {
       save: false,
     };
     for (const [step, { button, found: words }] of this.steps) {
+      button.disabled = !this.allows(step);
+      button.title = button.disabled ? (this.picked.length < 2 ? "first pick two views" : "first the table must be known") : "";
       button.setAttribute("aria-current", this.step === step ? "step" : "false");
       button.classList.toggle("done", Boolean(found[step]));
       setText(words, found[step] || { hand: "may wait", aim: "may be left out" }[step] || "");

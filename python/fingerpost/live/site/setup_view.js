@@ -84,7 +84,10 @@ export class SetUpView {
   take({ points, sigma, found, missing }) {
     this.accuracy = sigma === null ? "" : found ? `found ± ${sigma} px` : `by hand, ± ${sigma} px`;
     this.missing = missing;
-    if (!this.isByHand && points.length === CORNERS && this.points.length < CORNERS) this.points = points.map((point) => [...point]);
+    if (!this.isByHand && points.length === CORNERS && this.points.length < CORNERS) {
+      this.points = points.map((point) => [...point]);
+      this.isByHand = !found;
+    }
     this.draw();
   }
 
@@ -96,6 +99,7 @@ export class SetUpView {
   }
 
   putCorners() {
+    this.isByHand = true;
     const [width, height] = this.size;
     const [low, high] = [START_INSET, 1 - START_INSET];
     this.points = [[low, high], [high, high], [high, low], [low, low]].map(([u, v]) => [u * width, v * height].map(Math.round));
@@ -109,7 +113,6 @@ export class SetUpView {
       if (this.step !== "table") return;
       const grabbed = this.handles.findIndex((handle) => handle.group.contains(event.target));
       if (grabbed < 0 && this.points.length >= CORNERS) return;
-      this.isByHand ||= grabbed < 0;
       this.dragged = grabbed >= 0 ? grabbed : this.points.push(this.at(event)) - 1;
       this.svg.setPointerCapture(event.pointerId);
       this.move(event, grabbed >= 0);
@@ -138,7 +141,10 @@ export class SetUpView {
   }
 
   move(event, isGrab = false) {
-    if (!isGrab) this.points[this.dragged] = this.at(event);
+    if (!isGrab) {
+      this.points[this.dragged] = this.at(event);
+      this.isByHand = true;
+    }
     this.draw();
     this.magnify(this.dragged, event.clientX, event.clientY);
   }
@@ -177,6 +183,7 @@ export class SetUpView {
       if (!by) return;
       event.preventDefault();
       const far = event.shiftKey ? FAR_PX : 1;
+      this.isByHand = true;
       this.points[k] = this.within(this.points[k].map((value, axis) => value + far * by[axis]));
       this.draw();
       const box = group.querySelector(".mark").getBoundingClientRect();

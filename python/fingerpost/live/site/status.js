@@ -43,8 +43,9 @@ export class StatusLine {
     clearTimeout(this.timer);
     this.timer = null;
     this.shownAt = performance.now();
-    const { head } = this.next;
     this.showStatus();
+    if (this.halted || !this.next) return;
+    const { head } = this.next;
     $("point").hidden = !head.point;
     $("words").hidden = Boolean(head.point);
     if (head.point) ["x", "y", "sx", "sy"].forEach((id, k) => setText($(id), head.point[k].replace("-", "−")));
@@ -62,7 +63,24 @@ export class StatusLine {
     this.showStatus();
   }
 
+  // Shows why there is no present moment, in place of the last point; null: there is one.
+  halt(why) {
+    if (this.halted?.words === why?.words) return;
+    this.halted = why;
+    if (!why) return this.put();
+    this.showStatus();
+    $("point").hidden = true;
+    $("words").hidden = false;
+    setText($("words"), why.words);
+    setText($("detail"), why.detail || "\u00a0");
+    $("detail").title = why.detail;
+    setText($("rate"), "–");
+    setText($("latency"), "–");
+    setText($("spoken"), why.words);
+  }
+
   showStatus() {
+    if (this.halted) return this.setStatus("lost", this.halted.badge);
     const status = this.next?.head.status ?? "waiting";
     if (this.isStopped) this.setStatus("stopped", "stopped");
     else this.setStatus(status, WORDS[status] ?? status);
@@ -75,7 +93,7 @@ export class StatusLine {
   }
 
   latency(ms) {
-    setText($("latency"), ms === null ? "–" : ms.toFixed(0));
+    setText($("latency"), ms === null || this.halted ? "–" : ms.toFixed(0));
   }
 
   count(number, now) {
