@@ -8,6 +8,8 @@ import pytest
 from live_server import RIG, served, unclean
 from patience import PATIENCE_S
 
+from fingerpost.simulate import DevicePose, Placement, SimulatedRig, Trajectory, write_recording
+
 playwright = pytest.importorskip("playwright.sync_api")
 CHROMIUM = shutil.which("chromium")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium, Debian's package")
@@ -171,6 +173,49 @@ def test_targets_show_where_they_are_and_how_probable_each_is(browser, tmp_path)
     assert words[1] == "box 0 %"
     for disc, name in zip(discs, names, strict=True):
         assert name["x"] + name["width"] / 2 == pytest.approx(disc["x"] + disc["width"] / 2, abs=2)
+
+
+@pytest.fixture(scope="module")
+def crowded(tmp_path_factory):
+    """A rig file of four views and twelve targets with long names."""
+    still = Trajectory.hold(
+        DevicePose.pointing_at((250, 220), azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0), 1.0
+    )
+    cameras = Placement(azimuths_deg=(-60.0, -20.0, 20.0, 60.0))
+    folder = tmp_path_factory.mktemp("crowded")
+    rig_file = write_recording(folder, SimulatedRig(cameras), still, frames=4, fps=25.0, rng=3)
+    with rig_file.open("a", encoding="utf-8") as file:
+        for k in range(12):
+            x, y = 60 + 100 * (k % 4), 70 + 130 * (k // 4)
+            file.write(f'[[target]]\nname = "target number {k + 1}"\npoint = [{x}, {y}]\n')
+            file.write("radius = 30\n")
+    return rig_file
+
+
+CUT = """() => {
+  const texts = [...document.querySelectorAll('.caption, .panel h2')];
+  const cut = texts.filter((e) => e.scrollWidth > e.clientWidth + 1).map((e) => e.textContent);
+  const boxes = [...document.querySelectorAll('.target-name')]
+    .filter((e) => e.style.visibility !== 'hidden')
+    .map((e) => [e.textContent, e.getBoundingClientRect()]);
+  const meet = boxes.flatMap(([name, a], k) => boxes.slice(k + 1).filter(([, b]) =>
+    a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom).map(() => name));
+  return [...cut, ...meet];
+}"""
+
+
+def test_four_views_and_twelve_targets_fit(browser, crowded):
+    with served(crowded) as running:
+        page = Open(browser, running)
+        page.at(2)
+        for width, height in ((1440, 900), (1024, 768), PHONE):
+            page.page.set_viewport_size({"width": width, "height": height})
+            page.page.wait_for_timeout(100)
+            assert page.page.evaluate(OVERLAPS) == [], width
+            assert page.page.evaluate(CUT) == [], width
+            assert page.page.evaluate("document.documentElement.scrollWidth") <= width
+        assert unclean(page.page) == []
+        page.close()
 
 
 def test_without_a_point_the_state_is_shown_in_words(opened):

@@ -18,12 +18,13 @@ from fingerpost.capture import open_source, open_views, read_views
 from fingerpost.checks import unused
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
+from fingerpost.formats import sides_of
 from fingerpost.live.setup.aim import learn, places_on
 from fingerpost.live.setup.asked import Arrange, Begin, Chosen, Held
 from fingerpost.live.setup.dialogue import set_up
 from fingerpost.live.setup.hand import held_wrong
 from fingerpost.live.setup.offers import Offers
-from fingerpost.live.setup.table import guessed, judged
+from fingerpost.live.setup.table import Table, guessed, judged
 from fingerpost.live.setup.wording import page_words
 from fingerpost.operators import Operator
 from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
@@ -117,6 +118,18 @@ def test_the_sheet_on_the_table_is_recognised(tmp_path):
     square = [white_sheet(corners_of_view(rng, size=(300.0, 300.0))) for _ in range(2)]
     assert guessed(square) == "400x400"
     assert guessed([np.zeros((480, 640), np.uint8)]) == "A4"
+
+
+def test_a_letter_sheet_that_was_found_as_a4_is_named(tmp_path):
+    rng = np.random.default_rng(0)
+    for name in "ab":
+        corners_px = corners_of_view(rng, size=sides_of("letter", "mm"))
+        cv2.imwrite(str(tmp_path / f"{name}.png"), white_sheet(corners_px))
+    offers, table = Offers(lambda *_: None), Table()
+    places = offers.add([str(tmp_path / f"{name}.png") for name in "ab"])
+    table.arrange(Arrange(tuple(map(Chosen, places)), "A4", finds=True), offers)
+    _, words = judged(table.rig(offers), offers.each)
+    assert any("the sides fit letter better than A4" in word.text for word in words), words
 
 
 def white_sheet(corners_px):

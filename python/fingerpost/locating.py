@@ -142,7 +142,7 @@ class ReferenceSearch:
     def missing(self) -> dict[int, str]:
         """Description of each missing reference and of the remedy, by index of the view."""
         return {
-            k: absence(view) + _given_instead(view)
+            k: f'view "{view.name}": {absence(view)}{_given_instead(view)}'
             for k, view in enumerate(self._rig.views)
             if is_open(view) and k not in self._places
         }
@@ -303,16 +303,16 @@ def sides_of_plane(rig: Rig) -> tuple[float, float]:
 
 def absence(view: View) -> str:
     """Return which reference of a view is not found, and what it needs to be."""
-    reference, place = view.reference, f'view "{view.name}"'
+    reference = view.reference
     if isinstance(reference, RectangleReference):
         size = f"{reference.size} rectangle" if isinstance(reference.size, str) else "rectangle"
         return (
-            f"{place}: no {size} is found; all four of its sides must show in part, plainly "
+            f"no {size} is found; all four of its sides must show in part, plainly "
             "lighter or darker than what is around"
         )
     sheet = getattr(reference, "sheet", 1)
     return (
-        f"{place}: no marker of sheet {sheet} is found; one must show whole with its white margin, "
+        f"no marker of sheet {sheet} is found; one must show whole with its white margin, "
         "20 px wide or more, flat and without glare (`fingerpost markers` writes the sheet)"
     )
 

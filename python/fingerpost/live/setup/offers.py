@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.capture import Frame, Source, SourceKind, list_cameras, open_source
+from fingerpost.capture import Frame, Source, SourceKind, is_url, list_cameras, open_source
 from fingerpost.errors import FingerpostError
 from fingerpost.live.moment import encoded
+from fingerpost.setting_up import view_names
 
 FILMS = frozenset({".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpg", ".mts", ".webm"})
 """Suffixes of recordings."""
@@ -116,8 +117,7 @@ class Offers:
 
     def _name(self, source: str | int) -> str:
         """Return a name that no other offer has."""
-        path = Path(str(source))
-        stem = f"camera{source}" if isinstance(source, int) else path.stem or "view"
+        stem = _stem(source)
         taken = {offer.name for offer in self.each}
         if stem not in taken and stem.isprintable():
             return stem
@@ -194,6 +194,16 @@ class Offers:
         )
         self._threads.append(thread)
         thread.start()
+
+
+def _stem(source: str | int) -> str:
+    """Return a name by a source's file, or by its folder if that is a pattern of names."""
+    if isinstance(source, int):
+        return f"camera{source}"
+    if is_url(source):
+        return Path(source).stem or "view"
+    (name,) = view_names([source])
+    return name
 
 
 def _problem(error: FingerpostError, offer: Offer) -> str:

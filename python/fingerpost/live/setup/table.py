@@ -7,7 +7,7 @@ References are detected by the functions of `fingerpost init`, errors are predic
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,7 +34,7 @@ from fingerpost.live.setup.offers import Offer, Offers
 from fingerpost.live.setup.wording import page_words
 from fingerpost.locating import ReferenceSearch, absence
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer
-from fingerpost.recognition import shows_markers
+from fingerpost.recognition import likelier_size, shows_markers
 from fingerpost.references import size_scores
 from fingerpost.setting_up import UNIT, reference_of
 from fingerpost.uncertainty import largest_sigma
@@ -326,6 +326,7 @@ def judged(rig: Rig, offers: Sequence[Offer]) -> tuple[dict[str, Any] | None, li
         Words(found.severity.value, found.view, page_words(f"{found.what}; {found.right}"))
         for found in examine(structs.replace(rig, views=_without_starts(rig)), frames).findings
     ]
+    words += _better_planes(rig, [frame.image for *_, frame in filter(None, frames)])
     try:
         advice = advise(rig, [offer.size_px for offer in offers], _ADVICE)
     except FingerpostError as error:
@@ -348,6 +349,22 @@ def judged(rig: Rig, offers: Sequence[Offer]) -> tuple[dict[str, Any] | None, li
         "median": _rounded(advice.expected.median),
         "most": _rounded(advice.expected.percentile_95),
     }, words[:_MOST_WORDS]
+
+
+def _better_planes(rig: Rig, pictures: Sequence[NDArray[np.uint8]]) -> Iterator[Words]:
+    """Yield what else than the chosen rectangle lies on the table, if it was found as one."""
+    references = [view.reference for view in rig.views]
+    sizes = [one.size for one in references if isinstance(one, RectangleReference)]
+    if not len(sizes) == len(pictures) == len(rig.views):
+        return
+    if all(map(shows_markers, pictures)):
+        yield Words("warning", "", "every view shows a sheet of markers; choose it above")
+    elif isinstance(sizes[0], str):
+        quads = [np.array(view.reference_points_px, np.float64) for view in rig.views]
+        better = likelier_size(sizes[0], quads, [picture.shape for picture in pictures])
+        if better is not None:
+            text = f"the sides fit {better} better than {sizes[0]}; measure it, and choose above"
+            yield Words("warning", "", text)
 
 
 def _without_starts(rig: Rig) -> tuple[View, ...]:

@@ -96,6 +96,27 @@ export function middleOf(points) {
   return seen.length ? [sum[0] / seen.length, sum[1] / seen.length] : [0, 0];
 }
 
+const ruler = document.createElement("canvas").getContext("2d");
+
+// Width of a text in the font of an element [px].
+export function textWidth(words, element) {
+  const { fontWeight, fontSize, fontFamily } = getComputedStyle(element); // `font` is empty with tabular figures
+  ruler.font = `${fontWeight} ${fontSize} ${fontFamily}`;
+  return ruler.measureText(words).width;
+}
+
+// The longest of the beginnings of a text that fits into a width; the last one if none does.
+export function fitting(beginnings, width, element) {
+  return beginnings.find((words) => textWidth(words, element) <= width) ?? beginnings.at(-1);
+}
+
+// A text without its middle, so that it fits into a width: names often differ at their end.
+export function shortened(words, width, element) {
+  const without = (kept) => `${words.slice(0, Math.ceil(kept / 2))}…${words.slice(words.length - Math.floor(kept / 2))}`;
+  const shorter = Array.from({ length: Math.max(words.length - 2, 1) }, (_, k) => without(words.length - 2 - k));
+  return fitting([words, ...shorter], width, element);
+}
+
 function round(value) {
   return Math.round(value * 100) / 100;
 }

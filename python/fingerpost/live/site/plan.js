@@ -1,6 +1,6 @@
 // The plan of the working plane, to scale: constraint lines, indicated point, ellipse, trail.
 
-import { awayFrom, dots, make, middleOf, numbered, path, place, pointMark } from "./draw.js";
+import { awayFrom, dots, make, middleOf, numbered, path, place, pointMark, shortened, textWidth } from "./draw.js";
 import { Panel } from "./panel.js";
 
 const BORDER = 0.09;
@@ -10,6 +10,7 @@ const MARGIN = { left: 58, right: 16, top: 20, bottom: 46 };
 const AGES = 4;
 const ARROW_PX = 18;
 const LABEL_ROOM_PX = 27;
+const NAME_LINE = 1.35; // height of a line of text, relative to its size
 
 export class PlanPanel extends Panel {
   constructor(stage, rig) {
@@ -112,9 +113,45 @@ export class PlanPanel extends Panel {
       const shape = corners.length > 1 ? path([corners.flat()], this.map, true) : dots(corners.flat(), this.map);
       this.targets[k].setAttribute("d", shape);
       this.targets[k].style.strokeWidth = `${2 * radius * this.pxPerUnit}px`;
-      const [x, y] = middleOf(corners.map(([x, y]) => this.map(x, y)));
-      const size = 13 * Math.min(this.emphasis, 1.5);
-      for (const [name, value] of Object.entries({ x, y: y + 0.36 * size })) this.names[k].setAttribute(name, value);
+    });
+    const size = (this.nameSize = 13 * Math.min(this.emphasis, 1.5));
+    this.middles = this.rig.targets.map(({ corners }) => middleOf(corners.map(([x, y]) => this.map(x, y))));
+    this.middles.forEach(([, y], k) => this.names[k].setAttribute("y", y + 0.36 * size));
+    // A name ends before that of the next target beside it.
+    this.rooms = this.middles.map(([x], k) => {
+      const beside = this.middles.filter((_, j) => j !== k && this.isBeside(j, k));
+      return Math.min(...beside.map((other) => Math.abs(other[0] - x))) - 0.5 * size;
+    });
+  }
+
+  // Whether the names of two targets are on one line.
+  isBeside(j, k) {
+    return Math.abs(this.middles[j][1] - this.middles[k][1]) < NAME_LINE * this.nameSize;
+  }
+
+  // The name of a likely target is whole; others are shortened if there is no room.
+  drawName(k, share, isLikely) {
+    const [element, { name }] = [this.names[k], this.rig.targets[k]];
+    const percent = Math.round(100 * share);
+    element.classList.toggle("likely", isLikely);
+    let words = this.last.targets ? `${name} ${percent} %` : name;
+    if (!isLikely && textWidth(words, element) > this.rooms[k]) {
+      const tail = percent ? ` ${percent} %` : "";
+      words = shortened(name, this.rooms[k] - textWidth(tail, element), element) + tail;
+    }
+    if (element.textContent !== words) element.textContent = words;
+    const half = 0.5 * textWidth(words, element);
+    const x = Math.max(Math.min(this.middles[k][0], this.inner[0] - half), half);
+    element.setAttribute("x", x);
+    return { x, half };
+  }
+
+  // Names that a likely target's would cover are not shown.
+  drawNames(shares, likely) {
+    const drawn = this.names.map((_, k) => this.drawName(k, shares?.[k] ?? 0, likely[k]));
+    drawn.forEach(({ x, half }, k) => {
+      const isCovered = drawn.some((other, j) => likely[j] && j !== k && this.isBeside(j, k) && Math.abs(other.x - x) < other.half + half);
+      this.names[k].style.visibility = isCovered && !likely[k] ? "hidden" : "";
     });
   }
 
@@ -175,12 +212,12 @@ export class PlanPanel extends Panel {
       part.setAttribute("d", dots(plan.trail.slice(2 * from, 2 * to), this.map));
     });
     const best = Math.max(0.5, ...(plan.targets ?? []));
-    this.rig.targets.forEach(({ name, rest }, k) => {
-      const share = plan.targets?.[k] ?? 0;
-      this.targets[k].style.opacity = 0.16 + 0.5 * share;
-      this.targets[k].classList.toggle("likely", share >= best && !rest);
-      this.names[k].textContent = plan.targets ? `${name} ${Math.round(100 * share)} %` : name;
+    const likely = this.rig.targets.map(({ rest }, k) => (plan.targets?.[k] ?? 0) >= best && !rest);
+    this.targets.forEach((target, k) => {
+      target.style.opacity = 0.16 + 0.5 * (plan.targets?.[k] ?? 0);
+      target.classList.toggle("likely", likely[k]);
     });
+    this.drawNames(plan.targets, likely);
     this.ellipse.setAttribute("d", plan.ellipse ? path([plan.ellipse], this.map, true) : "");
     const at = plan.point ? this.map(...plan.point) : null;
     place(this.point, at, this.emphasis);

@@ -98,10 +98,12 @@ export class SetUp {
     for (const [value, words] of [...Object.entries(PLANES), [OTHER, "another rectangle"]]) html("option", "", this.select, words).value = value;
     this.select.addEventListener("change", () => this.changePlane());
     this.sliders = ["Side 1–2", "Side 2–3"].map((words) => {
-      const row = html("label", "slide", this.planeAsk, words);
-      const slider = Object.assign(html("input", "", row), { type: "range", ...SLIDER });
-      const value = html("output", "", row);
-      slider.addEventListener("input", () => this.slide());
+      const row = html("div", "slide", this.planeAsk);
+      html("span", "", row, words);
+      const [slider, value] = ["range", "number"].map((type) => Object.assign(html("input", "", row), { type, ...SLIDER, ariaLabel: `${words}, mm` }));
+      html("span", "", row, "mm");
+      slider.addEventListener("input", () => this.slide((value.value = slider.value)));
+      value.addEventListener("input", () => value.checkValidity() && this.slide((slider.value = value.value)));
       return { row, slider, value };
     });
   }
@@ -269,6 +271,8 @@ export class SetUp {
 
   colour() {
     for (const { button } of this.offers) button.ariaPressed = "false";
+    $("panes").style.setProperty("--columns", Math.ceil(Math.sqrt(this.picked.length)) || 1);
+    $("panes").classList.toggle("many", this.picked.length > 2);
     this.picked.forEach((view, index) => {
       view.colour(index);
       this.offers[view.number].button.ariaPressed = "true";
@@ -281,7 +285,7 @@ export class SetUp {
     this.sliders.forEach(({ row, slider, value }, k) => {
       row.hidden = this.select.value !== OTHER;
       slider.value = sides[k];
-      setText(value, `${slider.value} mm`);
+      if (value !== document.activeElement) value.value = slider.value;
     });
   }
 
@@ -474,7 +478,7 @@ export class SetUp {
     const { hand, aim, table } = this.state;
     const sigmas = table.views.map(({ sigma }) => sigma).filter((sigma) => sigma !== null);
     const found = {
-      views: this.picked.length >= 2 && this.picked.map((view) => view.offer.name).join(", "),
+      views: this.picked.length >= 2 && (this.picked.length > 2 ? `${this.picked.length} views` : this.picked.map((view) => view.offer.name).join(", ")),
       table: this.isReady && `± ${Math.max(...sigmas).toFixed(2)} px`,
       hand: hand?.found && "found",
       aim: aim?.off !== undefined && `± ${aim.left} ${aim.unit}`,

@@ -23,7 +23,7 @@ export class SetUpPlan {
       this.layOut();
     }
     if (!this.panel) return;
-    this.panel.word.textContent = aim ? "" : advice ? `95 % of the errors, in ${advice.unit}` : "";
+    this.panel.word.textContent = aim ? "" : advice ? `95 % of errors, ${advice.unit}` : "";
     this.panel.showErrors(aim ? null : advice);
     this.panel.showAim(aim);
   }

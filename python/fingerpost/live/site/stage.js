@@ -8,6 +8,7 @@ const HEAD_PX = 34;
 const CAPTION_PX = 24;
 const LARGE_EMPHASIS = 1.5;
 const USUAL_ASPECT = 4 / 3;
+const VIEWS_SHARE = 0.55; // of the stage, at most
 const PLAN_MARGIN_PX = [74, 66];
 
 export class Stage {
@@ -72,7 +73,9 @@ export class Stage {
       this.panels[alone].put(alone < this.views.length ? this.whole(alone, width, height) : { left: 0, top: 0, width, height }, emphasis);
       return;
     }
-    const ways = [column, row, line].map((way) => way(width, height, this.views.length, this.aspect(), this.plan.aspect));
+    const count = this.views.length;
+    const columns = Array.from({ length: count }, (_, k) => k + 1);
+    const ways = [...columns.flatMap((each) => [beside, above].map((way) => way(width, height, count, this.aspect(), this.plan.aspect, each))), line(width, height, count, this.aspect(), this.plan.aspect)];
     const { views, plan } = ways.reduce((a, b) => (b.merit > a.merit ? b : a));
     const bottom = Math.max(...[...views, plan].map((place) => place.top + place.height));
     const down = Math.max((height - bottom) / 2, 0);
@@ -92,25 +95,29 @@ export class Stage {
   }
 }
 
-// Views in a column, the plan at their right.
-function column(width, height, count, aspect, planAspect) {
+// Views of one size in rows of `columns`, as large as a width and a height allow.
+function tiles(width, height, count, aspect, columns) {
   const extra = HEAD_PX + CAPTION_PX;
-  const room = (height - (count - 1) * GAP_PX) / count - extra;
-  const wide = Math.min(room * aspect, 0.55 * width);
+  const rows = Math.ceil(count / columns);
+  const room = (height - (rows - 1) * GAP_PX) / rows - extra;
+  const wide = Math.min((width - (columns - 1) * GAP_PX) / columns, room * aspect);
   const each = wide / aspect + extra;
-  const views = Array.from({ length: count }, (_, k) => ({ left: 0, top: k * (each + GAP_PX), width: wide, height: each }));
-  const total = count * each + (count - 1) * GAP_PX;
-  return judged(views, { left: wide + GAP_PX, top: 0, width: width - wide - GAP_PX, height: Math.max(total, Math.min(height, width - wide)) - CAPTION_PX }, extra, planAspect);
+  const views = Array.from({ length: count }, (_, k) => ({ left: (k % columns) * (wide + GAP_PX), top: Math.floor(k / columns) * (each + GAP_PX), width: wide, height: each }));
+  return { views, across: columns * (wide + GAP_PX) - GAP_PX, down: rows * (each + GAP_PX) - GAP_PX };
 }
 
-// Views in a row, the plan below.
-function row(width, height, count, aspect, planAspect) {
-  const extra = HEAD_PX + CAPTION_PX;
-  const wide = Math.min((width - (count - 1) * GAP_PX) / count, (0.55 * height - extra) * aspect);
-  const each = wide / aspect + extra;
-  const left = (width - count * wide - (count - 1) * GAP_PX) / 2;
-  const views = Array.from({ length: count }, (_, k) => ({ left: left + k * (wide + GAP_PX), top: 0, width: wide, height: each }));
-  return judged(views, { left: 0, top: each, width, height: height - each }, extra, planAspect);
+// The plan at the right of the views.
+function beside(width, height, count, aspect, planAspect, columns) {
+  const { views, across, down } = tiles(VIEWS_SHARE * width, height, count, aspect, columns);
+  const left = across + GAP_PX;
+  return judged(views, { left, top: 0, width: width - left, height: Math.max(down, Math.min(height, width - across)) - CAPTION_PX }, planAspect);
+}
+
+// The plan below the views.
+function above(width, height, count, aspect, planAspect, columns) {
+  const { views, across, down } = tiles(width, VIEWS_SHARE * height, count, aspect, columns);
+  const left = (width - across) / 2;
+  return judged(views.map((view) => ({ ...view, left: left + view.left })), { left: 0, top: down, width, height: height - down }, planAspect);
 }
 
 // Views and plan in one row.
@@ -121,12 +128,12 @@ function line(width, height, count, aspect, planAspect) {
   const views = Array.from({ length: count }, (_, k) => ({ left: k * (wide + GAP_PX), top: 0, width: wide, height: each }));
   const left = count * (wide + GAP_PX);
   const wanted = (width - left - PLAN_MARGIN_PX[0]) / planAspect + PLAN_MARGIN_PX[1] + HEAD_PX;
-  return judged(views, { left, top: 0, width: width - left, height: Math.min(height, Math.max(each - CAPTION_PX, wanted)) }, extra, planAspect);
+  return judged(views, { left, top: 0, width: width - left, height: Math.min(height, Math.max(each - CAPTION_PX, wanted)) }, planAspect);
 }
 
 // The merit of a layout: sum of the log areas of plan and, on average, views.
-function judged(views, plan, extra, planAspect) {
-  const area = ({ width, height }) => Math.max(width * (height - extra), 1);
+function judged(views, plan, planAspect) {
+  const area = ({ width, height }) => Math.max(width * (height - HEAD_PX - CAPTION_PX), 1);
   const scale = Math.min((plan.width - PLAN_MARGIN_PX[0]) / planAspect, plan.height - HEAD_PX - PLAN_MARGIN_PX[1]);
   const merit = views.reduce((sum, view) => sum + Math.log(area(view)), 0) / views.length + Math.log(Math.max(scale, 1) ** 2 * planAspect);
   return { views, plan, merit };

@@ -1,6 +1,6 @@
 // One view: its picture, overlaid with all results of the same instant.
 
-import { awayFrom, crosses, dots, html, make, middleOf, numbered, path, place, pointMark, segments } from "./draw.js";
+import { awayFrom, crosses, dots, fitting, html, make, middleOf, numbered, path, place, pointMark, segments } from "./draw.js";
 import { Panel } from "./panel.js";
 
 const LABEL_PX = 17;
@@ -81,7 +81,9 @@ export class ViewPanel extends Panel {
     const [width, height] = this.size ?? [4, 3];
     this.scale = width / Math.max(this.body.clientWidth, 1);
     this.svg.setAttribute("viewBox", `-0.5 -0.5 ${width} ${height}`);
-    if (this.last) this.draw(this.last);
+    if (!this.last) return;
+    this.draw(this.last);
+    this.setCaption(this.last.reasons);
   }
 
   show(seen, picture) {
@@ -104,10 +106,15 @@ export class ViewPanel extends Panel {
     } else this.draw(seen);
   }
 
+  // All reasons if there is room, else the beginning of the first one; "why" shows all.
   setCaption(reasons) {
     const words = reasons.join("   ");
-    if (this.caption.textContent === words) return;
-    this.caption.textContent = words;
+    const width = this.body.clientWidth;
+    const known = `${width} ${words}`;
+    if (this.captioned === known) return;
+    this.captioned = known;
+    const first = reasons[0] ?? "";
+    this.caption.textContent = fitting([words, first, first.split(/ \(|, |; /)[0], first.split(":")[0]], width, this.caption);
     this.caption.title = words;
   }
 
