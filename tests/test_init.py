@@ -167,7 +167,7 @@ def test_a_sheet_of_markers_is_named_if_a_rectangle_was_stated(tmp_path):
         (("--from", "a.mp4", "b.mp4", "--plane", "A5"), 'plane is "A5"; needed: A4'),
         (("--from", "a.mp4", "b.mp4", "--plane", "0x3"), 'plane is "0x3"'),
         (("--from", "a.mp4", "b.mp4", "--plane", "A4", "--near", "c=1,2"), "no view is called c"),
-        (("--from", "a.mp4", "b.mp4", "--plane", "A4", "--near", "a=1"), "such as --near left="),
+        (("--from", "a.mp4", "b.mp4", "--plane", "A4", "--near", "a=1"), "such as left=320,240"),
         (("--from", "a.mp4", "b.mp4", "--plane", "A4", "-o", "rig.png"), "such as rig.toml"),
         (("--from", "a.mp4", "b.mp4", "--plane", "A4", "-o", "."), ".: is a folder; name a file"),
     ],
@@ -217,7 +217,7 @@ def test_questions_on_a_terminal_are_repeated_until_answers_are_valid(two_films)
             ("a/*.png", r"each needs a source of its own\s+View 2.*: $"),
             ('"~/b/*.png"', "View 3.*: $"),
             ("", "table .*: $"),
-            ("A9", r'plane is "A9"; needed: A4.*\s+.*table .*: $'),
+            ("A9", r'plane is "A9"; needed: A4.*markers.*\s+.*table .*: $'),
             ("210x297", "Rig file.*: $"),
             ("a", r"a: is a folder; name a file, such as a/rig.toml\s+Rig file.*: $"),
             ("rig.png", r"ends in .toml, such as rig.toml\s+Rig file.*: $"),
@@ -227,7 +227,7 @@ def test_questions_on_a_terminal_are_repeated_until_answers_are_valid(two_films)
             ("'rig.toml'", r"corners[\s\S]*right.*: $"),
             ("n", "Pixel inside.* a=320,240.*: $"),
             ("c=1,2", r"no view is called c; they are a, b\s+Pixel.*: $"),
-            ("left", r"such as --near left=320,240\s+Pixel.*: $"),
+            ("left", r"a view and a pixel are right, such as left=320,240\s+Pixel.*: $"),
             ("", "table .*: $"),
             ("60x400", r"no rectangle is found.*\s+.*table .*: $"),
             ("A4", r"corners[\s\S]*right.*: $"),
@@ -263,7 +263,7 @@ def test_view_names_and_sizes_of_the_plane():
     assert view_names(["left/*.jpg", "right/*.jpg"]) == ["left", "right"]
     assert view_names([0, 2]) == ["camera 0", "camera 2"]
     assert view_names(["http://a/1", "http://b/1"]) == ["view 1", "view 2"]
-    assert plane_size("350 x 220") == (350.0, 220.0)
+    assert plane_size("350 x 220") == plane_size("35x22cm") == (350.0, 220.0)
     assert sides_of("Letter", "in") == pytest.approx((8.5, 11.0))
     with pytest.raises(InvalidInputError, match="whose length is not known"):
         sides_of("A4", "mat")

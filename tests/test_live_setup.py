@@ -49,6 +49,11 @@ def click_corners(page, k, points_px):
         page.page.mouse.click(x, y)
 
 
+def set_sides(page, mm):
+    for side in page.page.locator(".slide input[type=number]").all():
+        side.fill(str(mm))
+
+
 def turns(saved, true):
     """Cyclic shift of each view's reference points relative to the true ones [corners]."""
     found = []
@@ -127,8 +132,7 @@ def test_corners_can_be_clicked_and_a_wrong_order_is_named(browser, films):  # n
         assert page.page.locator(".step:enabled").count() == 2
         assert page.page.is_disabled("#next")
         page.page.select_option("select", "other")
-        for side in page.page.locator(".slide input[type=number]").all():
-            side.fill("400")
+        set_sides(page, 400)
         page.until(f"{KNOWN} && {RESTS} && document.querySelectorAll('.pane .handle').length === 8")
         assert "found" in page.text(".pane .left >> nth=0")
         page.page.click("text=Click corners myself")
@@ -144,6 +148,11 @@ def test_corners_can_be_clicked_and_a_wrong_order_is_named(browser, films):  # n
         page.page.click("text=Click corners myself")
         for k in range(2):
             click_corners(page, k, truth.views[k].reference_points_px)
+        page.until(f"{KNOWN} && {RESTS}")
+        set_sides(page, 40)
+        page.until("document.querySelector('#words').textContent.startsWith('no hand would')")
+        assert "does it measure 40 × 40 mm?" in page.text("#detail")
+        set_sides(page, 400)
         page.until(f"{KNOWN} && {RESTS}")
         page.page.locator(".pane:nth-of-type(2) .handle").first.focus()
         page.press("ArrowLeft")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fingerpost.capture import Frame, Loss, is_url, resolve_source
 from fingerpost.config import MarkersReference, Pair, Plane, RectangleReference, Rig, View
 from fingerpost.errors import FingerpostError, InvalidInputError
-from fingerpost.formats import NAMES, SIZES_MM, Size, corners_of, sides_of
+from fingerpost.formats import NAMES, SIZES_MM, UNITS_MM, Size, corners_of, sides_of
 from fingerpost.locating import ReferenceSearch, shows_throughout, sides_of_plane
 from fingerpost.pipeline import Pointer, Step, steps
 from fingerpost.pointing import FingerLine, Status
@@ -27,6 +27,9 @@ from fingerpost.references import contains, find_rectangles
 from fingerpost.uncertainty import largest_sigma
 
 UNIT = "mm"
+
+MARKERS = "markers"
+"""Name of a sheet of markers in a description of a reference."""
 
 DEFAULT_FRAMES = 300
 """Number of frames of each view to search."""
@@ -78,13 +81,20 @@ def reference_of(words: str) -> RectangleReference | MarkersReference:
         As `plane_size`.
     """
     kind, _, size = words.partition(":")
-    if kind.lower() == "markers":
+    if kind.lower() == MARKERS:
         return MarkersReference(size=plane_size(size or "A4"))
-    return RectangleReference(size=plane_size(words))
+    return RectangleReference(size=plane_size(words, others=f"{MARKERS}, "))
 
 
-def plane_size(words: str) -> Size:
-    """Parse the size of a rectangle: its name, or its sides in mm.
+def plane_size(words: str, others: str = "") -> Size:
+    """Parse the size of a rectangle: its name, or its sides, in mm unless a unit follows.
+
+    Parameters
+    ----------
+    words
+        A name in `SIZES_MM`, or two lengths, as "350x220" or "35x22cm".
+    others
+        Further answers that would be right, for the message.
 
     Raises
     ------
@@ -93,15 +103,16 @@ def plane_size(words: str) -> Size:
     """
     if words.lower() in SIZES_MM:
         return words
-    sides = re.fullmatch(r"\s*([\d.]+)\s*[x×*]\s*([\d.]+)\s*(?:mm)?\s*", words)
+    sides = re.fullmatch(r"\s*([\d.]+)\s*[x×*]\s*([\d.]+)\s*(\S*)\s*", words)
     try:
         if sides is not None:
-            return sides_of((float(sides[1]), float(sides[2])), UNIT)
-    except ValueError:  # two dots, or a side that is 0
+            unit_mm = UNITS_MM[sides[3] or UNIT]
+            return sides_of((float(sides[1]) * unit_mm, float(sides[2]) * unit_mm), UNIT)
+    except (ValueError, KeyError):  # two dots, a side that is 0, or an unknown unit
         pass
     named = NAMES.partition(" or ")[0].replace('"', "")
     raise InvalidInputError(
-        f'plane is "{words}"; needed: {named}, or width and height in mm, such as 350x220'
+        f'plane is "{words}"; needed: {named}, {others}or width and height in mm, such as 350x220'
     )
 
 

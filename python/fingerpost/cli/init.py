@@ -159,10 +159,11 @@ class _Search:
                 if not self.asks_again:
                     raise
                 click.echo(f"fingerpost: {error}", err=True)
-                self.plane = _asked_plane(asks=True)
+                self._ask_plane()
 
     def correct(self) -> None:
         """Ask which rectangle is meant, or else for its size."""
+        self.asks_again = True
         from fingerpost.config import RectangleReference
 
         view = self.rig().views[0]
@@ -171,6 +172,9 @@ class _Search:
             if answer := answered(question, self._check_near, default="", show_default=False):
                 self.near_px |= _near((answer,))
                 return
+        self._ask_plane()
+
+    def _ask_plane(self) -> None:
         self.near_px.clear()
         self.plane = _asked_plane(asks=True)
 
@@ -200,7 +204,8 @@ def _asked_plane(asks: bool) -> str:
 
     if not asks:
         raise click.UsageError("--plane is missing; such as --plane A4")
-    return answered("Size of the rectangle on the table", reference_of, default="A4")
+    question = "On the table lies: A4, letter, A3, credit-card, WxH in mm, or markers"
+    return answered(question, reference_of, default="A4")
 
 
 def _rig_file(given: Path | None, *, asks: bool, force: bool) -> Path:
@@ -314,6 +319,8 @@ def _near(given: tuple[str, ...]) -> dict[str, tuple[float, float]]:
         try:
             u, v = (float(number) for number in place.split(","))
         except ValueError:
-            raise click.UsageError(f"--near {words}: such as --near left=320,240") from None
+            raise InvalidInputError(
+                f"near is {words}; a view and a pixel are right, such as left=320,240"
+            ) from None
         near[view] = (u, v)
     return near

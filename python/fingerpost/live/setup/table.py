@@ -36,7 +36,7 @@ from fingerpost.locating import ReferenceSearch, absence
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer
 from fingerpost.recognition import likelier_size, shows_markers
 from fingerpost.references import size_scores
-from fingerpost.setting_up import UNIT, reference_of
+from fingerpost.setting_up import MARKERS, UNIT, reference_of
 from fingerpost.uncertainty import largest_sigma
 
 MAT = "400x400"
@@ -45,8 +45,6 @@ MAT = "400x400"
 GUESSED = ("A4", "credit-card", MAT)
 """Planes that can be distinguished by their aspect ratios in pictures, the most usual first: letter
 and A3 are too similar to A4."""
-
-MARKERS = "markers"
 
 UNCHANGED_PX = 0.05
 """Greatest distance at which a point returned by a page is still the detected one."""

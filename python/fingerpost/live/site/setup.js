@@ -425,6 +425,7 @@ export class SetUp {
       return waiting(`click corner ${open.points.length + 1} in ${open.offer.name}`, "around a sheet or a mat on the table, the same corner first in every view");
     }
     if (this.step === "table" && this.isContradicted) return waiting("the corners look wrong", "see below what contradicts them; drag them to the right places");
+    if (this.step === "table" && advice?.most === null) return waiting("no hand would have a point", `does it measure ${table.sides.join(" × ")} mm? choose what lies on the table, or set its sides`);
     if (this.step === "table") return done("the table is known", advice ? errorsWords(advice) : "drag a corner to move it, or use the arrow keys on it");
     if (this.step === "hand") {
       if (this.isLooking) return ["point at the table", "index finger out, thumb up, in sight of every view", "acquiring", "looking"];
@@ -497,10 +498,9 @@ export class SetUp {
     $("summary").hidden = this.step !== "save";
     if (this.step !== "save") return;
     const { table, advice, hand, aim } = this.state;
-    const [a, b] = table.sides ?? [0, 0];
     const rows = [
       ["views", this.picked.map((view) => view.offer.name).join(", ")],
-      ["plane", `${PLANES[table.plane] ?? "rectangle"}, ${a} × ${b} mm`],
+      ["plane", `${PLANES[table.plane] ?? "rectangle"}, ${(table.sides ?? []).join(" × ")} mm`],
       ["corners", table.views.map(({ sigma, found }) => `± ${sigma} px ${found ? "found" : "by hand"}`).join("; ")],
       ["expected errors", advice ? errorsWords(advice, "half") : "unknown"],
       ["hand", hand?.found ? "found in every view" : "to be found when it comes"],

@@ -69,7 +69,7 @@ class ErrorMap extends PlanPanel {
       make("path", { d: path([square], this.map, true) }, this.cells).style.fill = `rgb(${colour})`;
       const [u, v] = this.map(x, y);
       const words = make("text", { x: u, y: v + 5, "text-anchor": "middle", fill: luminance(colour) > 0.25 ? "#11161c" : "#fff" }, this.cells);
-      words.textContent = error === null ? "none" : error < 100 ? error.toPrecision(2) : Math.round(error);
+      words.textContent = error === null ? "–" : error < 100 ? error.toPrecision(2) : Math.round(error);
     }
   }
 
