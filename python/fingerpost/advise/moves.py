@@ -80,19 +80,19 @@ class Move:
 
     def words(self, name: str) -> str:
         """Return an instruction for the move."""
-        amount = abs(self.amount)
+        amount, view = abs(self.amount), f'view "{name}"'
         match self.way:
             case Way.TURN:
                 side = "right" if self.amount > 0.0 else "left"
-                return f"move {name} {amount:.0f}° around the workspace to its {side}"
+                return f"move {view} {amount:.0f}° around the workspace to its {side}"
             case Way.RAISE:
-                return f"{'raise' if self.amount > 0.0 else 'lower'} {name} by {amount:.0f}°"
+                return f"{'raise' if self.amount > 0.0 else 'lower'} {view} by {amount:.0f}°"
             case Way.DISTANCE:
                 way = "away to" if self.amount > 1.0 else "nearer, to"
-                return f"move {name} {way} {amount:g} times its distance"
+                return f"move {view} {way} {amount:g} times its distance"
             case Way.ZOOM:
                 way = "in" if self.amount > 1.0 else "out"
-                return f"zoom {name} {way} by {amount:g}"
+                return f"zoom {view} {way} by {amount:g}"
 
 
 @dataclass(frozen=True, eq=False)

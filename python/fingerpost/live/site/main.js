@@ -89,7 +89,7 @@ function onConnected(connected) {
 
 // Without a connection, and after the last frame of cameras, the last moment is past.
 function showStale() {
-  const why = !isConnected ? { badge: "cut off", words: "no connection", detail: "" } : rig?.live && state?.ended ? { badge: "ended", words: "ended", detail: state.ended } : null;
+  const why = !isConnected ? { badge: "cut off", words: "no connection", detail: "if fingerpost was started anew, open the address that it prints" } : rig?.live && state?.ended ? { badge: "ended", words: "ended", detail: state.ended } : null;
   document.documentElement.classList.toggle("stale", Boolean(why));
   statusLine.halt(why);
 }

@@ -104,6 +104,8 @@ export class SetUp {
       html("span", "", row, "mm");
       slider.addEventListener("input", () => this.slide((value.value = slider.value)));
       value.addEventListener("input", () => value.checkValidity() && this.slide((slider.value = value.value)));
+      value.addEventListener("change", () => (value.value = slider.value));
+      value.addEventListener("keydown", (event) => event.key === "Enter" && value.blur());
       return { row, slider, value };
     });
   }
@@ -421,7 +423,7 @@ export class SetUp {
     if (this.step === "views") return done(`${this.picked.length} views`, "next: the table");
     if (open) {
       const missing = table.views.find(({ offer, missing }) => missing && offer === open.number)?.missing;
-      if (missing && !open.points.length) return waiting(`not found in ${open.offer.name}`, `${missing}; or click its corners`);
+      if (missing && !open.points.length) return waiting(`not found in ${open.offer.name}`, `${missing.split(";")[0]}: see below its picture, or click its corners`);
       return waiting(`click corner ${open.points.length + 1} in ${open.offer.name}`, "around a sheet or a mat on the table, the same corner first in every view");
     }
     if (this.step === "table" && this.isContradicted) return waiting("the corners look wrong", "see below what contradicts them; drag them to the right places");
