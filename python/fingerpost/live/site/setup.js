@@ -432,10 +432,15 @@ export class SetUp {
     if (this.step === "hand") {
       if (this.isLooking) return ["point at the table", "index finger out, thumb up, in sight of every view", "acquiring", "looking"];
       if (!hand && this.picked.some((view) => view.held)) return waiting("hold your hand up to the template", "drag it, or its knuckle to turn and scale it; then look for the hand");
-      return hand?.found ? done("the hand is found", "in every view; it will be found wherever it comes in") : waiting("no hand is found", hand ? "see below each picture what would help" : "look for it, or go on: it will be found when it comes");
+      return hand?.found ? done("the hand is found", `${this.handWords(hand)}; it will be found wherever it comes in`) : waiting("no hand is found", hand ? "see below each picture what would help" : "look for it, or go on: it will be found when it comes");
     }
     if (this.step === "aim") return this.aimLine(aim, waiting, done);
     return done("ready: save and begin", `writes rig.toml to ${this.state.folder}`);
+  }
+
+  handWords({ views }) {
+    const count = views.filter(({ tip }) => tip).length;
+    return count === views.length ? "in every view" : `in ${count} of ${views.length} views`;
   }
 
   aimLine(aim, waiting, done) {
@@ -505,7 +510,7 @@ export class SetUp {
       ["plane", `${PLANES[table.plane] ?? "rectangle"}, ${(table.sides ?? []).join(" × ")} mm`],
       ["corners", table.views.map(({ sigma, found }) => `± ${sigma} px ${found ? "found" : "by hand"}`).join("; ")],
       ["expected errors", advice ? errorsWords(advice, "half") : "unknown"],
-      ["hand", hand?.found ? "found in every view" : "to be found when it comes"],
+      ["hand", hand?.found ? `found ${this.handWords(hand)}` : "to be found when it comes"],
       ["your aim", aim?.off === undefined ? "not learned" : `${aim.off} ${aim.unit} beside, ${aim.left} ${aim.unit} after it is taken off`],
     ];
     const known = JSON.stringify(rows);

@@ -6,6 +6,8 @@ import { PlanPanel } from "./plan.js";
 const RAMP = ["#2b6a8e", "#3fa89c", "#c4c85e", "#f09e3c", "#d8554a"];
 const OCTAVES = 2; // on either side of the median error
 const RING_PX = 22;
+const CELL_TEXT_SHARE = 0.42; // of a cell's side: three digits fit
+const LARGEST_TEXT_PX = 15;
 
 export class SetUpPlan {
   constructor(parent) {
@@ -61,6 +63,8 @@ class ErrorMap extends PlanPanel {
     this.cells.replaceChildren();
     const known = (this.errors?.cells ?? []).map(([, , error]) => error).filter((error) => error !== null);
     const usual = known.sort((a, b) => a - b)[known.length >> 1];
+    const size = Math.min(CELL_TEXT_SHARE * 2 * (this.errors?.half ?? 0) * this.pxPerUnit, LARGEST_TEXT_PX);
+    this.cells.style.fontSize = `${size}px`;
     for (const [x, y, error] of this.errors?.cells ?? []) {
       const half = 0.97 * this.errors.half;
       const square = [x - half, y - half, x + half, y - half, x + half, y + half, x - half, y + half];
@@ -68,7 +72,7 @@ class ErrorMap extends PlanPanel {
       const colour = mixed(share);
       make("path", { d: path([square], this.map, true) }, this.cells).style.fill = `rgb(${colour})`;
       const [u, v] = this.map(x, y);
-      const words = make("text", { x: u, y: v + 5, "text-anchor": "middle", fill: luminance(colour) > 0.25 ? "#11161c" : "#fff" }, this.cells);
+      const words = make("text", { x: u, y: v, dy: "0.36em", "text-anchor": "middle", fill: luminance(colour) > 0.25 ? "#11161c" : "#fff" }, this.cells);
       words.textContent = error === null ? "–" : error < 100 ? error.toPrecision(2) : Math.round(error);
     }
   }
