@@ -403,6 +403,9 @@ def test_when_fingerpost_ends_the_page_says_so(browser):
         page = Open(browser, running)
         page.at(50)
         page.until("document.querySelector('#point').offsetParent")
+        plan = page.context.new_page()
+        plan.goto(f"{running.base}/plan")
+        plan.wait_for_selector(".point-mark:visible")
         running.process.terminate()
         running.end()
         page.until("document.documentElement.classList.contains('cut-off')")
@@ -411,6 +414,8 @@ def test_when_fingerpost_ends_the_page_says_so(browser):
         assert page.text("#words") == "no connection"
         assert not page.page.is_visible("#point")
         assert page.page.locator(".point-mark:visible, .finger:visible").count() == 0
+        plan.wait_for_selector("#cut:visible")
+        assert plan.locator(".point-mark:visible, .constraint:visible").count() == 0
         page.context.close()
 
 

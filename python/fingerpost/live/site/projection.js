@@ -15,6 +15,7 @@ const EMPHASIS = 2;
 
 if (location.search) history.replaceState(null, "", location.pathname);
 
+const root = document.documentElement;
 const sheet = document.getElementById("sheet");
 const arm = new ArmOnPlan();
 const targets = new TargetsOnPlan();
@@ -28,9 +29,11 @@ const link = new Link({
     if (state.rig) open(state.rig);
     if (state.arm) arm.show(state.arm);
     targets.show(state.experiment);
+    root.classList.toggle("stale", Boolean(plan?.rig.live && state.ended));
   },
   onRefused: () => {},
-  onConnected: (connected) => document.documentElement.classList.toggle("cut-off", !connected),
+  // Without a connection, no point is shown as if it were the present one.
+  onConnected: (connected) => ["cut-off", "stale"].forEach((name) => root.classList.toggle(name, !connected)),
 });
 
 function open(rig) {
@@ -113,9 +116,9 @@ const handles = [0, 1, 2, 3].map((k) => {
 // Corners and messages are visible during interaction.
 let timer = null;
 function wake() {
-  document.documentElement.classList.add("awake");
+  root.classList.add("awake");
   clearTimeout(timer);
-  timer = setTimeout(() => document.documentElement.classList.remove("awake"), HIDDEN_AFTER_MS);
+  timer = setTimeout(() => root.classList.remove("awake"), HIDDEN_AFTER_MS);
 }
 
 addEventListener("pointermove", wake);
@@ -130,7 +133,7 @@ addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   if (event.key === " " || event.key === "Escape") link.send({ do: "stop" });
   else if (number >= 1 && number <= 4) handles.find((handle) => handle.textContent === event.key).focus();
-  else if (event.key === "f") document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen();
+  else if (event.key === "f") document.fullscreenElement ? document.exitFullscreen() : root.requestFullscreen();
   else if (event.key === "r") {
     localStorage.removeItem(KEPT);
     corners = drawn();
