@@ -12,7 +12,7 @@ import fingerpost
 from fingerpost.capture import Frame, open_source, open_views, read_views
 from fingerpost.capture.numbering import taken
 from fingerpost.config import Rig
-from fingerpost.consistency import FROZEN, Freshness, Tips, lag_between
+from fingerpost.consistency import FROZEN, Freshness, Tips, clocks_agree, lag_between
 from fingerpost.pipeline import Pointer, steps
 from fingerpost.pointing import Status
 from fingerpost.simulate import Placement, Workspace
@@ -51,6 +51,46 @@ def test_a_late_clock_is_measured_to_a_fraction_of_a_frame(frames):
     lag = lag_between(*tips(frames * STEP_S))
     assert lag.lag_s == pytest.approx(frames * STEP_S, abs=0.25 * STEP_S)
     assert lag.with_px < 0.5 * lag.without_px
+
+
+def tips_of_rates(*, true_fps, stated_fps, noise_px=0.4, span_s=4.0):
+    """Tips in both cameras; frames of the second one are dated as of another frame rate."""
+    rng = np.random.default_rng(3)
+    first, other = CAMERAS
+    both = []
+    for camera, taken_fps, dated_fps in ((first, 30.0, 30.0), (other, true_fps, stated_fps)):
+        seen = Tips()
+        first_from_camera = first.image_from_plane @ np.linalg.inv(camera.image_from_plane)
+        for k in range(int(span_s * dated_fps)):
+            tip_px = camera.project(tip_mm(k / taken_fps)) + rng.normal(0, noise_px, 2)
+            seen.add(k / dated_fps, first_from_camera @ [*tip_px, 1.0])
+        both.append(seen)
+    return both
+
+
+@pytest.mark.parametrize("true_fps", [25.0, 36.0])
+@pytest.mark.parametrize("stated_fps", [25.0, 30.0, 60.0])
+def test_a_wrong_frame_rate_is_measured(true_fps, stated_fps):
+    first, other = tips_of_rates(true_fps=true_fps, stated_fps=stated_fps)
+    lag = lag_between(first, other, 0.0)
+    if true_fps == stated_fps:
+        assert lag is None
+        assert clocks_agree(first, other)
+        return
+    assert lag.rate == pytest.approx(true_fps / stated_fps, rel=0.03)
+    latest_s = first.latest()[0][-4]  # the last one whose speed is known
+    assert lag.lag_s == pytest.approx((lag.rate - 1.0) * latest_s, abs=0.15)
+
+
+def test_clocks_agree_only_where_the_motion_excludes_a_lag():
+    def along(time_s):
+        base = CAMERAS[1].centre_mm - CAMERAS[0].centre_mm
+        return np.array([200.0, 200.0, 60.0]) + 0.08 * np.sin(4 * time_s) * base
+
+    assert clocks_agree(*tips(0.0))
+    assert not clocks_agree(*tips(0.2))
+    assert not clocks_agree(*tips(0.0, motion=lambda _: np.array([200.0, 180.0, 80.0])))
+    assert not clocks_agree(*tips(0.0, motion=along))
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -152,6 +192,28 @@ def test_views_with_an_offset_are_detected_and_give_no_points(clip, caplog):
     assert note in caplog.text
     assert all(step.fix.status is not Status.OK for step in reported[-30:])
     assert "lags by -0.20 s" in reported[-1].fix.reason
+
+
+def test_a_wrong_frame_rate_is_reported_and_gives_no_certain_points(clip):
+    rig, together = clip
+    dated = [frame for left, right in together for frame in ((left, None), (None, right))]
+    dated = [
+        (left, right and Frame(right.index, right.index / 30.0, right.image))
+        for left, right in dated
+    ]
+    dated.sort(key=lambda pair: (pair[0] or pair[1]).time_s)
+    truth, plain = {}, run(rig, together)[1]
+    for step in plain:
+        truth[round(step.fix.time_s, 3)] = step.fix.point
+    pointer, reported = run(rig, dated)
+    (note,) = pointer.notes()
+    assert "25 a second for" in note
+    assert "in place of 30" in note
+    ok = [step.fix for step in reported if step.fix.status is Status.OK]
+    off = [(fix.point - truth[round(fix.time_s, 3)], fix.covariance) for fix in ok]
+    held = [d @ np.linalg.solve(covariance, d) <= 5.99 for d, covariance in off]
+    assert np.mean(held) > 0.9
+    assert all(step.fix.status is not Status.OK for step in reported[-20:])
 
 
 def test_an_offset_in_the_rig_synchronises_the_views(clip, tmp_path):

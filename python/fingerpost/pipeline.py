@@ -12,6 +12,7 @@ lines to a common time, transfer each to its constraint line on the plane and in
 from __future__ import annotations
 
 import logging
+import math
 import numbers
 import sys
 from collections import deque
@@ -39,7 +40,7 @@ from fingerpost.admission import (
 from fingerpost.capture import Frame, Loss, open_views, read_views
 from fingerpost.checks import in_range
 from fingerpost.config import FixedReference, Rig, View
-from fingerpost.consistency import Monitor, Scenery
+from fingerpost.consistency import Disagreement, Monitor, Scenery
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import (
     NO_CORRECTION,
@@ -511,6 +512,7 @@ class Pointer:
             self._refuse_different_sides()
         self._first: dict[int, Frame] | None = {}
         self._monitor = Monitor([view.name for view in rig.views])
+        self._disagreement = Disagreement()
         self._moving = moving
         self._options = pointing_options
         self._still = self.plane_views
@@ -840,7 +842,8 @@ class Pointer:
             lines[k] = _NoLine(Status.ILL_CONDITIONED, ANOTHER_FINGER)
         for k, lag in enumerate(self._monitor.lags):
             if lag is not None and isinstance(lines[k], FingerLine):
-                lines[k] = _NoLine(Status.ILL_CONDITIONED, f"it lags by {lag.lag_s:.2f} s")
+                lines[k] = _NoLine(Status.ILL_CONDITIONED, lag.why)
+        displacements = self._disagreement.update([view.viewpoint for view in self.views], lines)
         fingers = [finger.status if isinstance(finger, _NoLine) else finger for finger in lines]
         fix = indicated_point(
             fingers,
@@ -849,13 +852,30 @@ class Pointer:
             options=self._options,
             names=[f'view "{view.name}"' for view in self.views],
             absences=_absences(lines, pending.observations),
+            displacements=displacements,
         )
+        fix = self._in_doubt(fix, plane_views)
         if self._operator is not None:
             size = max(view.plane_size for view in plane_views)
             fix = self._operator.meant(fix, self._options.max_sigma * size)
         if fix.point is not None and fix.covariance is not None:
             fix = replace(fix, targets=self._targets.probabilities(fix.point, fix.covariance))
         return Step(pending.index, pending.observations, fix, pending.hand, pending.frames)
+
+    def _in_doubt(self, fix: Fix, plane_views: Sequence[PlaneView]) -> Fix:
+        """Add to a fix the displacements by frame rates that may be wrong.
+
+        A displaced line moves the point along the other one. Most rates are right, so that the
+        doubt is no reason to refuse the point: its ellipse becomes as large as the plane at most.
+        """
+        if fix.point is None or fix.covariance is None or not fix.crossing_angle_rad:
+            return fix
+        ways_px = [self._monitor.possible_way_px(k) for k in range(1, len(plane_views))]
+        if not any(ways_px):
+            return fix
+        way = max(ways_px) * plane_views[0].unit_per_px / math.sin(fix.crossing_angle_rad)
+        most = self._options.max_sigma * max(view.plane_size for view in plane_views)
+        return replace(fix, covariance=fix.covariance + min(way, most) ** 2 * np.eye(2))
 
 
 def _with(entries: tuple[Entry, ...], k: int, entry: Entry) -> tuple[Entry, ...]:

@@ -28,6 +28,7 @@ from fingerpost.homography import (
     estimate_image_from_plane,
     inverse,
     transfer_by_inverse,
+    transfer_jacobian_by_point,
     transfer_to_image,
 )
 from fingerpost.lens import Lens
@@ -363,6 +364,12 @@ class PlaneView:
         Σ_T = (1.0 - part) * self.entries_covariance + part * other.entries_covariance
         return PlaneView(self.plane_points, T, Σ_T, self.lens)
 
+    @cached_property
+    def unit_per_px(self) -> float:
+        """Length on the plane of a pixel at the centre of the reference points [plane units]."""
+        jacobian = transfer_jacobian_by_point(self.image_from_plane, self.plane_points.mean(axis=0))
+        return float(abs(np.linalg.det(jacobian)) ** -0.5)
+
     def project(self, plane_points: ArrayLike) -> NDArray[np.float64]:
         """Project points of the plane into the image, lens distortion included.
 
@@ -592,6 +599,7 @@ def indicated_point(
     options: PointingOptions = DEFAULT_OPTIONS,
     names: Sequence[str] | None = None,
     absences: Mapping[int, str] = MappingProxyType({}),
+    displacements: Mapping[int, float] = MappingProxyType({}),
 ) -> Fix:
     """Compute the indicated point on the working plane from all views at one time.
 
@@ -609,6 +617,9 @@ def indicated_point(
         Names of the views in `Fix.reason`, in their order; by default "view 0" and on.
     absences
         Reasons for missing finger lines that the status does not give, by index of the view.
+    displacements
+        Standard deviation of an unknown displacement of a view's constraint line [plane units], by
+        index of the view: a disagreement of the views that no view alone can measure.
 
     Returns
     -------
@@ -641,7 +652,10 @@ def indicated_point(
     # Eq. 2: the finger line l_i of each image becomes the constraint line l_gp = Tᵀ l_i of the
     # plane, on which the indicated point lies.
     views = [plane_views[k] for k in seen]
-    l_gp = [view.constrain(finger, options) for view, finger in zip(views, fingers, strict=True)]
+    l_gp = [
+        _displaced(view.constrain(finger, options), displacements.get(k, 0.0))
+        for k, view, finger in zip(seen, views, fingers, strict=True)
+    ]
     lines = _drawn(l_gp, seen, len(entries))
     if len(fingers) < 2:
         return Fix(time_s, max(missing, key=_SEVERITY.__getitem__), lines, reason=without)
@@ -848,6 +862,14 @@ def _finger_axes(angle_rad: float) -> NDArray[np.float64]:
     """Tangent and normal of a finger line, as rows."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, s], [-s, c]])
+
+
+def _displaced(line: Constraint | None, sigma: float) -> Constraint | None:
+    """Add the variance of an unknown displacement [plane units] to a constraint line."""
+    if line is None or not sigma:
+        return line
+    *rest, one = line
+    return (*rest, one + sigma**2)  # type: ignore[return-value]
 
 
 def _drawn(

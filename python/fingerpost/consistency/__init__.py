@@ -5,17 +5,25 @@ them while a rig runs; the doctor does before.
 """
 
 from fingerpost.consistency.contradiction import Contradiction
+from fingerpost.consistency.disagreement import Disagreement
 from fingerpost.consistency.freshness import Freshness
 from fingerpost.consistency.monitor import FROZEN, Monitor, unannounced
 from fingerpost.consistency.offset import Offset, Track, offset_between
 from fingerpost.consistency.scenery import Mistake, Scenery
 from fingerpost.consistency.straightness import Bend
-from fingerpost.consistency.synchrony import Lag, Tips, lag_between, tip_in_first_view
+from fingerpost.consistency.synchrony import (
+    Lag,
+    Tips,
+    clocks_agree,
+    lag_between,
+    tip_in_first_view,
+)
 
 __all__ = [
     "FROZEN",
     "Bend",
     "Contradiction",
+    "Disagreement",
     "Freshness",
     "Lag",
     "Mistake",
@@ -24,6 +32,7 @@ __all__ = [
     "Scenery",
     "Tips",
     "Track",
+    "clocks_agree",
     "lag_between",
     "offset_between",
     "tip_in_first_view",

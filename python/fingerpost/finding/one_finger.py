@@ -20,6 +20,7 @@ from fingerpost.finding.pairs import (
     Viewpoint,
     foreshortenings,
     same_tip,
+    tips_apart,
     width_ratio,
 )
 from fingerpost.pointing import FingerLine, PlaneView, Status, indicated_point
@@ -161,17 +162,33 @@ def other_fingers(viewpoints: Sequence[Viewpoint], lines: Sequence[object]) -> l
     list of int
         Their indices; both of two views that follow different fingers.
     """
-    fingers = {
-        k: FingerDetection((line.tip_px[0], line.tip_px[1]), line.angle_rad, line.half_width_px)
-        for k, line in enumerate(lines)
-        if isinstance(line, FingerLine)
-    }
+    fingers = {k: _detection(line) for k, line in enumerate(lines) if isinstance(line, FingerLine)}
     tips_are_one = {
         (i, j): same_tip((viewpoints[i], viewpoints[j]), (fingers[i], fingers[j])) >= MIN_SAME_TIP
         for i, j in combinations(fingers, 2)
     }
     backed = {k for pair, is_one in tips_are_one.items() if is_one for k in pair}
     return [k for k in fingers if len(fingers) > 1 and k not in backed]
+
+
+def tips_distance(
+    viewpoints: tuple[Viewpoint, Viewpoint], lines: tuple[FingerLine, FingerLine]
+) -> float:
+    """Return the distance of the rays through the tips of two lines [plane units]; NaN if unknown.
+
+    Parameters
+    ----------
+    viewpoints
+        Camera centres and homographies of the two views.
+    lines
+        Their finger lines.
+    """
+    first, second = (_detection(line) for line in lines)
+    return tips_apart(viewpoints, (first, second))[1]
+
+
+def _detection(line: FingerLine) -> FingerDetection:
+    return FingerDetection((line.tip_px[0], line.tip_px[1]), line.angle_rad, line.half_width_px)
 
 
 def share_tip(views: Pair) -> bool:

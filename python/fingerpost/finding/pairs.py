@@ -502,15 +502,25 @@ def same_tip(
     float
         0 to 1; 1 if unknown.
     """
+    height, distance = tips_apart(views, fingers)
+    plane_size = views[0].plane_view.plane_size
+    return float(_is_one(height / plane_size, distance / plane_size))
+
+
+def tips_apart(
+    views: tuple[Viewpoint, Viewpoint], fingers: tuple[FingerDetection, FingerDetection]
+) -> tuple[float, float]:
+    """Return the height above the plane at which the rays through two tips are nearest.
+
+    And their distance there; both in plane units, NaN if unknown.
+    """
     (foot, ray, _), (other_foot, other_ray, _) = (
         _ray(view, finger) for view, finger in zip(views, fingers, strict=True)
     )
     between = _between(foot, other_foot)
     s, t = _nearest(ray, other_ray, between)
-    miss = math.hypot(*(b + t * q - s * p for b, p, q in zip(between, ray, other_ray, strict=True)))
-    height = 0.5 * (s * ray[2] + t * other_ray[2])
-    plane_size = views[0].plane_view.plane_size
-    return float(_is_one(height / plane_size, miss / plane_size))
+    apart = (b + t * q - s * p for b, p, q in zip(between, ray, other_ray, strict=True))
+    return 0.5 * (s * ray[2] + t * other_ray[2]), math.hypot(*apart)
 
 
 def _between(
