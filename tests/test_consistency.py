@@ -116,6 +116,35 @@ def test_points_with_individual_errors_are_corrected(seed):
     np.testing.assert_allclose(given(corrected)[1], given(rig)[1], atol=4.0)
 
 
+@pytest.mark.parametrize("background", [SHEET_ON_WOOD, PRINTED], ids=["corners", "none"])
+def test_points_that_are_mirrored_in_both_views_are_not_called_swapped(background):
+    rig, pictures = pictured(background)
+    mirrored = {k: points * [-1, 1] + [SIZE[0] - 1, 0] for k, points in enumerate(given(rig))}
+    mistake = Scenery(with_points(rig, mirrored), pictures).mistake()
+    assert "the image was mirrored in all views" in mistake.what
+    assert mistake.is_certain
+    if "swapped" in mistake.what:  # the texture fits both, and there are no corners
+        assert background is PRINTED
+        assert mistake.points_px == {}
+        return
+    corrected = with_points(rig, mistake.points_px)
+    np.testing.assert_allclose(given(corrected), given(rig), atol=1.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_corrected_line_is_given_for_a_wrong_corner(seed):
+    """Another object's corner is nearer to a point than its own."""
+    rig, pictures = pictured(seed=seed)
+    pictures = [picture.copy() for picture in pictures]
+    turn = np.random.default_rng(seed).uniform(0, 2 * np.pi, 4)
+    wrong = given(rig)[1] + 30.0 * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    u, v = (int(c) for c in np.round(wrong[seed]))
+    pictures[1][v : v + 12, u : u + 12] = 255
+    mistake = Scenery(with_points(rig, {1: wrong}), pictures).mistake()
+    if mistake.points_px:
+        assert np.linalg.norm(mistake.points_px[1] - given(rig)[1], axis=1).max() < 4.0
+
+
 @pytest.mark.parametrize("turn_rad", [0.0, 0.6])
 def test_points_around_another_part_of_the_table_are_reported_without_a_correction(right, turn_rad):
     rig, pictures = right
