@@ -513,6 +513,20 @@ def test_reference_points_slightly_outside_the_image_are_accepted(recording):
     assert len(list(fp.track(beyond, max_frames=2))) == 2
 
 
+def test_a_view_that_shows_the_middle_of_the_plane_alone_is_accepted(recording, caplog):
+    rig = Rig.load(recording)
+    beyond = with_references(
+        rig, [(-900.0, -300.0), (1300.0, -300.0), (1300.0, 900.0), (0.0, 900.0)]
+    )
+    inside = [
+        sum(0 <= u < 640 and 0 <= v < 480 for u, v in view.reference_points_px)
+        for view in beyond.views
+    ]
+    assert max(inside) < 2
+    assert len(list(fp.track(beyond, max_frames=2))) == 2
+    assert "reference points lie outside the image" in caplog.text
+
+
 def test_different_winding_in_two_views_is_refused_and_equal_winding_is_not(recording, tmp_path):
     rig = Rig.load(recording)
 

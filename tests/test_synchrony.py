@@ -361,6 +361,35 @@ def test_file_names_give_the_times_of_images(names, times_s, caplog):
     assert caplog.text == ""
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        "2026-11-30T18-22-2{k}.{k}25.png",
+        "left_2026-11-30 18_22_2{k},{k}25.jpg",
+        "20261130_18222{k}_{k}25.png",
+        "2026-11-30T18-22-2{k}.{k}25Z.png",
+    ],
+)
+def test_dates_and_times_of_day_in_names_are_times(name, caplog):
+    numbered = taken(paths(*(name.format(k=k) for k in range(4))), 10.0, "*.png")
+    times_s = [one.time_s - numbered[0].time_s for one in numbered]
+    assert times_s == pytest.approx([1.1 * k for k in range(4)], abs=1e-6)
+    assert numbered[0].time_s == pytest.approx(1_796_062_940.025, abs=1e-3)
+    assert caplog.text == ""
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["2026-11-30T18-22-27.png"] * 2 + ["2026-11-30T18-22-28.png"],  # two in a second
+        ["2026-13-30T18-22-27.png", "2026-13-30T18-22-28.png"],  # no such month
+    ],
+)
+def test_dates_that_are_no_times_are_not_used(names):
+    numbered = taken(paths(*names), 10.0, "*.png")
+    assert [one.time_s for one in numbered][1] == pytest.approx(0.1)
+
+
 def test_numbered_images_keep_their_places(tmp_path):
     for k in (0, 1, 4):
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((8, 8), k, np.uint8))

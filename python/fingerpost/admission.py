@@ -6,6 +6,7 @@ The checks of a rig against its own images are shared by the main loop, the doct
 
 from __future__ import annotations
 
+import logging
 import math
 import numbers
 from collections.abc import Mapping, Sequence
@@ -23,6 +24,8 @@ from fingerpost.errors import InvalidInputError
 from fingerpost.homography import transfer_jacobian_by_point
 from fingerpost.pointing import PlaneView
 from fingerpost.references import Reduction
+
+_log = logging.getLogger(__name__)
 
 
 def different_sides(rig: Rig, plane_views: Sequence[PlaneView]) -> Contradiction | None:
@@ -88,8 +91,9 @@ def refuse_unknown_points(rig: Rig) -> None:
 def points_outside(view: View, size_px: tuple[int, int]) -> Contradiction | None:
     """Return a contradiction if most reference points lie outside an image (width, height).
 
-    Some may, if a camera shows a part of the plane; most do if they were measured in larger
-    images. Points that were measured in smaller images lie inside and are not detected.
+    Most do if they were measured in larger images, or if a camera shows a part of the plane; it is
+    the latter if `shows_middle`. Points that were measured in smaller images lie inside and are not
+    detected.
     """
     points_px = np.array(view.reference_points_px)
     if len(points_px) == 0:
@@ -102,6 +106,17 @@ def points_outside(view: View, size_px: tuple[int, int]) -> Contradiction | None
         f"the image of {size_px[0]} × {size_px[1]} px",
         "were they measured in images of another size? the workspace should be in view",
     )
+
+
+def shows_middle(view: View, size_px: tuple[int, int]) -> bool:
+    """Whether an image (width, height) shows the middle of the reference points.
+
+    A camera that is close to the plane may show it without any of the points. In an image of half
+    the size in which they were measured, the middle of the image is at its corner.
+    """
+    points_px = np.array(view.reference_points_px)
+    middle_px = (points_px.min(axis=0) + points_px.max(axis=0)) / 2.0
+    return bool(((middle_px >= -0.5) & (middle_px <= np.array(size_px) - 0.5)).all())
 
 
 def reduced_view(view: View, reduction: Reduction) -> View:
@@ -171,8 +186,8 @@ class Admission:
         ------
         InvalidInputError
             The number of entries differs from that of the views; an entry is not a frame, or its
-            image or time is unusable; the first frame of a view contains fewer than half of its
-            reference points; or a later frame has another size.
+            image or time is unusable; the first frame of a view contains neither half of its
+            reference points nor their middle; or a later frame has another size.
         """
         self._refuse_unusable(frames)
         self._refuse_other_sizes(frames)
@@ -205,7 +220,12 @@ class Admission:
                     f'view "{view.name}": frame {frame.index} has {width} × {height} px, the first '
                     f"one has {first_px[0]} × {first_px[1]}; all must have one size"
                 )
-            wrong = other_size(view, size_px) or points_outside(view, size_px)
+            wrong = other_size(view, size_px)
+            outside = points_outside(view, size_px)
+            if outside is not None and shows_middle(view, size_px):
+                _log.warning('view "%s": %s; %s', view.name, *outside)
+            elif outside is not None:
+                wrong = wrong or outside
             if wrong is not None:
                 raise InvalidInputError(f'view "{view.name}": {wrong.what}; {wrong.right}')
             self._sizes_px[k] = size_px

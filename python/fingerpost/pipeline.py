@@ -584,8 +584,8 @@ class Pointer:
         ------
         InvalidInputError
             The number of entries differs from that of the views; an entry is not a frame, or its
-            image or time is unusable; the first frame of a view contains fewer than half of its
-            reference points; or a later frame has another size.
+            image or time is unusable; the first frame of a view contains neither half of its
+            reference points nor their middle; or a later frame has another size.
         """
         self._admission.admit(seen)
         if self._search is not None and (waiting := self._look_for_references(seen)):

@@ -1,6 +1,7 @@
 """Capture times of still images, by the numbers in their names.
 
-Programs that save a stream number its frames or name them by the clock. A missing number is a lost
+Programs that save a stream number its frames or name them by the clock: as a number, or as date and
+time of day (ISO 8601, with any separators). A missing number is a lost
 frame: the later ones are dated accordingly, in this view alone. Other numbers, such as those of
 selected pictures, are ignored.
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -22,6 +24,11 @@ LEAST_THERE = 0.5
 
 _NUMBER = re.compile(r"(\d+(?:\.\d+)?)(?!.*\d)")
 """The last number of a name."""
+
+_CALENDAR = re.compile(
+    r"(?<!\d)((?:19|20)\d\d)\D?(\d\d)\D?(\d\d)(?:\D{1,2})(\d\d)\D?(\d\d)\D?(\d\d)(?:\D(\d{1,9}))?(?!\d)"
+)
+"""Date, time of day and decimals of a second: 2026-11-30T18-22-27.125 or 20261130_182227."""
 
 # Digits of seconds, milli-, micro- and nanoseconds since 1970, from 2001 to 2286.
 _CLOCKS = {13: 1e-3, 16: 1e-6, 19: 1e-9}
@@ -56,7 +63,7 @@ def taken(paths: Sequence[Path], fps: float, name: str) -> list[Taken]:
         Name of the source in messages.
     """
     numbers = _numbers(paths)
-    clock_s = _clock_s(numbers)
+    clock_s = _calendar_s(paths) or _clock_s(numbers)
     if clock_s is not None:
         return [Taken(k, time_s) for k, time_s in enumerate(clock_s)]
     indices = _indices(numbers) or list(range(len(paths)))
@@ -80,6 +87,26 @@ def _numbers(paths: Sequence[Path]) -> list[str]:
     values = [float(number) for number in numbers]
     increase = all(a < b for a, b in pairwise(values))
     return numbers if len(numbers) == len(paths) > 1 and increase else []
+
+
+def _calendar_s(paths: Sequence[Path]) -> list[float] | None:
+    """Return dates and times of day in names [s]; None if one has none or they do not increase.
+
+    Without decimals several images have the same second: their names are no times.
+    """
+    found = [_CALENDAR.search(path.stem) for path in paths]
+    times_s: list[float] = []
+    for match in found:
+        if match is None:
+            return None
+        *whole, decimals = match.groups()
+        try:
+            moment = datetime(*map(int, whole), tzinfo=UTC)  # type: ignore[misc, arg-type]
+        except ValueError:  # no such day or hour
+            return None
+        times_s.append(moment.timestamp() + float(f"0.{decimals or 0}"))
+    increase = all(a < b for a, b in pairwise(times_s))
+    return times_s if len(times_s) > 1 and increase else None
 
 
 def _clock_s(numbers: Sequence[str]) -> list[float] | None:

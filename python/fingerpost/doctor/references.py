@@ -1,6 +1,7 @@
 """Tests of the reference points.
 
-- *outside*: most of them lie outside the image (`fingerpost.admission.points_outside`);
+- *outside*: most of them lie outside the image (`fingerpost.admission.points_outside`); a warning
+  if it shows their middle;
 - *mirrored*: the homographies of the views do not have the same sense of rotation, although all
   cameras are on one side of the plane (`fingerpost.admission.different_sides`);
 - *elsewhere*: rectified to the plane, the views do not show the same table, but would if a common
@@ -20,7 +21,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.admission import different_sides, other_size, points_outside
+from fingerpost.admission import different_sides, other_size, points_outside, shows_middle
 from fingerpost.advise import reference_weakness
 from fingerpost.config import Rig, View
 from fingerpost.consistency import Scenery
@@ -69,7 +70,9 @@ def judge_views(
         points_px = np.array(view.reference_points_px)
         height, width = still.shape
         if (wrong := points_outside(view, (width, height))) is not None:
-            yield Finding(Severity.ERROR, Check.REFERENCES, view.name, *wrong)
+            is_part = shows_middle(view, (width, height))
+            severity = Severity.WARNING if is_part else Severity.ERROR
+            yield Finding(severity, Check.REFERENCES, view.name, *wrong)
         yield from _judge_strength(view.name, plane_view)
         if len(points_px) > 4:
             yield from _judge_consistency(view.name, plane_view, points_px)
