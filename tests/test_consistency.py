@@ -131,6 +131,17 @@ def test_points_that_are_mirrored_in_both_views_are_not_called_swapped(backgroun
     np.testing.assert_allclose(given(corrected), given(rig), atol=1.0)
 
 
+@pytest.mark.parametrize("words", ["rows and columns", "upwards"])
+def test_the_doctor_names_a_mistake_in_one_view_that_turns_the_plane_over(words):
+    rig, pictures = pictured()
+    wrong = with_points(rig, {1: MISTAKES[words](given(rig)[1])})
+    findings = examine(wrong, [[Frame(0, 0.0, picture)] for picture in pictures]).findings
+    (error,) = [finding for finding in findings if finding.severity == "error"]
+    assert words in error.what
+    assert "would be right" in error.right
+    assert error.view == "right"
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_no_corrected_line_is_given_for_a_wrong_corner(seed):
     """Another object's corner is nearer to a point than its own."""

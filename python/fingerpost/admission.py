@@ -49,7 +49,8 @@ def different_sides(rig: Rig, plane_views: Sequence[PlaneView]) -> Contradiction
     )
     return Contradiction(
         f"the views see the plane from different sides: from X to Y it turns {ways}",
-        "reference_points_px must be in the order of plane.points, and no image mirrored",
+        "reference_points_px must be [u, v] in the order of plane.points, and no image mirrored; "
+        "`fingerpost doctor` compares them with the images",
     )
 
 

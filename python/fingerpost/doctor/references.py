@@ -83,9 +83,7 @@ def judge_together(
 ) -> Iterator[Finding]:
     """Find contradictions between the views, and points beside corners that nothing confirms."""
     scenery = None
-    if (wrong := different_sides(rig, plane_views)) is not None:
-        yield Finding(Severity.ERROR, Check.REFERENCES, "", *wrong)
-    elif len(rig.views) < 2:
+    if len(rig.views) < 2:
         yield Finding(
             Severity.ERROR,
             Check.REFERENCES,
@@ -95,8 +93,18 @@ def judge_together(
         )
     else:
         scenery = Scenery(rig, stills)
-        yield from _judge_scenery(rig, scenery)
+        found = list(_judge_scenery(rig, scenery))
+        wrong = different_sides(rig, plane_views)
+        # Swapped rows and columns and mirrored points also turn the plane over: their name says
+        # more, and gives the corrected line.
+        if wrong is not None and not any(_is_mistake(finding) for finding in found):
+            yield Finding(Severity.ERROR, Check.REFERENCES, "", *wrong)
+        yield from found
     yield from _judge_corners(rig.views, stills, scenery)
+
+
+def _is_mistake(finding: Finding) -> bool:
+    return (finding.severity, finding.check) == (Severity.ERROR, Check.REFERENCES)
 
 
 def judge_sizes(rig: Rig, sizes_px: Sequence[tuple[int, int]]) -> Iterator[Finding]:
