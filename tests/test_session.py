@@ -21,6 +21,7 @@ from recordings import messages
 
 from fingerpost.capture import Frame, Loss, open_source, open_views, read_views
 from fingerpost.cli import main
+from fingerpost.cli.recorder import open_recorder
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError, RecordingError, SourceError
 from fingerpost.mcap_file import read_about
@@ -110,6 +111,8 @@ def test_the_rig_in_a_recording_has_its_views(recording):
     assert found.views == ("left", "right")
     rig = Rig.load(recording)
     assert rig.sources == {view: str(recording) + f"#{view}" for view in found.views}
+    with open_views(rig.sources) as sources:
+        assert [source.frame_count for source in sources] == [FRAMES, FRAMES]
 
 
 # --- replay -----------------------------------------------------------------------------------
@@ -167,6 +170,26 @@ def test_a_session_on_the_page_replays_as_it_was_shown(recording, rig_file, tmp_
     assert f"all {FRAMES} fixes are the recorded ones, to the last bit" in done.output
     for table, of_run in zip(tables, ("p.csv", "t.csv"), strict=True):
         assert table.read_bytes() == recording.with_name(of_run).read_bytes()
+
+
+def test_a_replay_of_a_view_that_was_silent_gives_the_recorded_fixes(rig_file, tmp_path):
+    """Meanwhile the number of its next frame is that of several fixes; nothing is damaged."""
+    rig = Rig.load(rig_file)
+    path = tmp_path / "s.mcap"
+    pointer = Pointer(rig)
+    with open_views(rig.sources) as sources:
+        first, *later = read_views(sources)
+        silent = [
+            (Loss(1, right.time_s, f"no picture has come for 0.{k} s"), right)
+            for k, (_, right) in enumerate(later)
+        ]
+        with open_recorder(path, rig, sources, None, is_live=True) as recorder:
+            for step in steps(pointer, recorder.watch([first, *silent])):
+                recorder.take(step)
+    done = invoked("replay", path)
+    assert done.exit_code == 0, done.output
+    assert f"all {FRAMES} fixes are the recorded ones, to the last bit" in done.stdout
+    assert "damaged" not in done.stdout
 
 
 def test_fixes_with_other_options_are_compared_with_the_recorded_ones(recording, tmp_path):

@@ -93,6 +93,8 @@ DAMAGED = "its picture is damaged"
 UNDECODABLE = "its picture cannot be decoded"
 """Reason for a picture that cannot be decoded."""
 
+_DAMAGES = (DAMAGED, UNDECODABLE)
+
 OTHER_SIZE = "its pictures have another size than the first"
 """Reason for a picture of a live view to which the rig's pixel coordinates do not apply."""
 
@@ -161,7 +163,8 @@ class Source(ABC):
     arrangement
         Rotation, reflection and crop of the pictures.
     losses
-        Number of lost pictures.
+        Number of damaged pictures. A replayed session may also lack frames that never came; these
+        are not counted.
     recording
         The file that records which frames of several views belong to one step; None for most
         sources.
@@ -235,7 +238,7 @@ class Source(ABC):
         if isinstance(seen, Frame):
             self._sound += 1
             seen = self._arranged(seen)
-        else:
+        elif seen.why in _DAMAGES:
             self._count()
         return replace(seen, time_s=seen.time_s + self.offset_s) if self.offset_s else seen
 

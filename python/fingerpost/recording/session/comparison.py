@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict, deque
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +26,19 @@ def write_beside(path: Path) -> TableWriter[BesideRow]:
 class Comparison:
     """Comparison of fixes with recorded ones.
 
+    Fixes of one frame are compared in their order: while the first view of a live rig sends
+    nothing, the number of its next frame is that of several fixes.
+
     Parameters
     ----------
     recorded
-        The recorded fixes, by frame.
+        The recorded fixes, in order.
     """
 
-    def __init__(self, recorded: dict[int, PointRow]) -> None:
-        self._recorded = recorded
+    def __init__(self, recorded: Iterable[PointRow]) -> None:
+        self._recorded: defaultdict[int, deque[PointRow]] = defaultdict(deque)
+        for row in recorded:
+            self._recorded[row.frame].append(row)
         self._equal = self._compared = 0
         self._before: Counter[str] = Counter()
         self._now: Counter[str] = Counter()
@@ -41,11 +47,12 @@ class Comparison:
     @classmethod
     def with_recording(cls, path: Path) -> Comparison:
         """Compare with the fixes of a recording; raises as `recorded_points`."""
-        return cls({row.frame: row for row in recorded_points(path)})
+        return cls(recorded_points(path))
 
     def add(self, row: PointRow) -> BesideRow:
         """Compare a fix with the recorded one of its frame, and return both as a row."""
-        before = self._recorded.get(row.frame)
+        of_frame = self._recorded.get(row.frame)
+        before = of_frame.popleft() if of_frame else None
         if before is None:
             return BesideRow(
                 frame=row.frame, time_s=row.time_s, status=row.status, x=row.x, y=row.y
