@@ -1,6 +1,7 @@
 """Truncated recordings of any program: nothing before the cut is lost."""
 
 import json
+import os
 import random
 from pathlib import Path
 
@@ -125,15 +126,17 @@ def test_messages_before_a_cut_within_a_chunk_are_recovered(tmp_path):
     assert chunks_end.count(first) < count < chunks_end.count(first) + chunks_end.count(second)
 
 
-def test_a_damaged_chunk_loses_only_its_own_messages(tmp_path):
+@pytest.mark.parametrize("number", [0, 1], ids=["with the channel", "without it"])
+def test_a_damaged_chunk_loses_only_its_own_messages(tmp_path, number):
     whole = foreign(tmp_path / "whole.mcap", CompressionType.ZSTD)
     with whole.open("rb") as file:
-        chunk = make_reader(file).get_summary().chunk_indexes[1]
+        chunk = make_reader(file).get_summary().chunk_indexes[number]
     data = bytearray(whole.read_bytes())
     data[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 0xFF
     (tmp_path / "bad.mcap").write_bytes(data)
     done = invoked("recover", tmp_path / "bad.mcap", tmp_path / "r.mcap")
     assert "damaged before byte" in done.stdout
+    assert "damaged before byte" in invoked("info", tmp_path / "bad.mcap").stdout
     ends = ends_of_messages(whole)
     lost = ends.count(chunk.chunk_start_offset + chunk.chunk_length)
     assert len(read(tmp_path / "r.mcap")) == len(ends) - lost
@@ -149,7 +152,7 @@ def test_a_cut_recording_is_a_source_up_to_the_cut(recording, tmp_path):
     assert source.notes == (f"{cut}: cut off at byte {cut.stat().st_size}",)
 
 
-def test_info_reports_the_same_from_the_index_and_by_counting(recording, tmp_path):
+def test_info_reports_the_same_contents_without_the_index(recording, tmp_path):
     indexed = json.loads(invoked("info", recording, "--json").stdout)
     assert indexed["messages"] == {"/frames": FRAMES, "/a/image": FRAMES, "/a/calibration": 1}
     assert (indexed["wrong"], indexed["dropped"], indexed["about"]["views"]) == ("", 0, ["a"])
@@ -176,6 +179,17 @@ def test_files_that_cannot_be_replayed_are_refused_in_one_line(tmp_path):
         assert done.exit_code == 2
         (line,) = done.stderr.splitlines()
         assert words in line
+
+
+def test_a_recovery_onto_a_full_disk_leaves_nothing(recording, tmp_path, monkeypatch):
+    def full(_descriptor):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    done = invoked("recover", recording, tmp_path / "r.mcap")
+    (line,) = done.stderr.splitlines()
+    assert line.endswith(f"No space left on device; {recording} is as it was")
+    assert (done.exit_code, list(tmp_path.iterdir())) == (1, [])
 
 
 def test_recovery_overwrites_no_file(recording, tmp_path):

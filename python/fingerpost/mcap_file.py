@@ -174,7 +174,8 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
 class Records:
     """The self-contained records of an MCAP file, in the order of the file.
 
-    Iterate once. Records in chunks are included.
+    Iterate once. Records in chunks are included. Schemas and channels may be in a damaged chunk
+    only: those of the index at the end follow such a chunk, so that later messages can be assigned.
 
     Parameters
     ----------
@@ -254,6 +255,7 @@ class Records:
         content = _decompressed(compression, data[start + 8 :], size, self._path)
         if is_whole and (len(content) != size or (crc and zlib.crc32(content) != crc)):
             self.wrong = self.wrong or f"damaged before byte {self._file.tell()}"
+            yield from self._indexed()
             return
         place = 0
         while place + _HEAD.size <= len(content):
@@ -262,6 +264,13 @@ class Records:
             if opcode in _KEPT and place + length <= len(content):
                 yield from self._read(opcode, content[place : place + length])
             place += length
+
+    def _indexed(self) -> Iterator[McapRecord]:
+        """Yield the schemas and channels of the index; none without one."""
+        summary = read_summary(self._path)
+        if summary is not None:
+            yield from summary.schemas.values()
+            yield from summary.channels.values()
 
 
 def _decompressed(compression: str, data: bytes, size: int, path: Path) -> bytes:
@@ -289,6 +298,7 @@ def read_summary(path: Path) -> Summary | None:
             file.seek(-len(MAGIC), 2)
             if file.read() != MAGIC:
                 return None
+            file.seek(0)
             return make_reader(file).get_summary()
     except (McapError, struct.error, OSError, ValueError, StopIteration):
         return None

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.writer import Writer
 
-from fingerpost.errors import SourceError
+from fingerpost.errors import RecordingError, SourceError
 from fingerpost.mcap_file import (
     Attachment,
     Channel,
@@ -58,20 +59,30 @@ def recover(cut: Path, whole: Path) -> Recovered:
     InvalidInputError
         `whole` exists, or cannot be created.
     RecordingError
-        `whole` cannot be written any further.
+        `whole` cannot be written to its end; it is removed again.
     """
     with closing(Records(cut)) as records:
         copied = iter(records)
         header = next(copied, None)
         if not isinstance(header, Header):
             raise SourceError(f"{cut}: {records.wrong or 'has no header'}: nothing is left of it")
-        with closing(RecordingStream(whole)) as stream:
-            copy = _Copy(stream, header)
-            for record in copied:
-                copy.add(record)
-            copy.finish()
-            stream.flush()
+        with closing(RecordingStream(whole, f"{cut} is as it was")) as stream:
+            try:
+                copy = _copied(header, copied, stream)
+            except RecordingError:
+                whole.unlink(missing_ok=True)
+                raise
     return Recovered(copy.messages, (copy.end_ns - copy.start_ns) / 1e9, records.wrong)
+
+
+def _copied(header: Header, records: Iterator[McapRecord], stream: RecordingStream) -> _Copy:
+    """Copy all records of a file into a stream, up to its index and onto the disk."""
+    copy = _Copy(stream, header)
+    for record in records:
+        copy.add(record)
+    copy.finish()
+    stream.flush()
+    return copy
 
 
 class _Copy:

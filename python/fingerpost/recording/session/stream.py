@@ -12,6 +12,8 @@ from pathlib import Path
 
 from fingerpost.errors import InvalidInputError, RecordingError
 
+_REST = "what was recorded until the last second is there, `fingerpost recover` makes it whole"
+
 
 class RecordingStream:
     """A new file for a recording; an existing file is not touched.
@@ -20,6 +22,8 @@ class RecordingStream:
     ----------
     path
         The file.
+    rest
+        What remains if writing fails, in words for the user.
 
     Raises
     ------
@@ -27,8 +31,9 @@ class RecordingStream:
         The file exists or cannot be created.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, rest: str = _REST) -> None:
         self.path = path
+        self._rest = rest
         self._place = self._whole = 0
         try:
             self._file = path.open("xb", buffering=0)
@@ -90,6 +95,5 @@ class RecordingStream:
         with contextlib.suppress(OSError):
             self._file.truncate(self._whole)
         return RecordingError(
-            f"{self.path}: cannot be written any more: {error.strerror}; "
-            "what was recorded until the last second is there, `fingerpost recover` makes it whole"
+            f"{self.path}: cannot be written any more: {error.strerror}; {self._rest}"
         )
