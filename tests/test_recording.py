@@ -3,12 +3,14 @@
 import math
 import os
 import re
+import shutil
 import signal
 import struct
 import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -17,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from patience import PATIENCE_S
 
-from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.errors import FingerpostError, InvalidInputError, RecordingError
 from fingerpost.recording import (
     PointRow,
     TrackRow,
@@ -468,6 +470,20 @@ for path in sys.argv[1:]:
     assert len(frames_of(tmp_path / "o.part.webm")) > 1
     assert done.stdout.count("not all of 30 frames could be written; is the disk full?") == 3
     assert not any(map(os.path.exists, paths))
+
+
+def test_a_video_that_fills_the_disk_keeps_the_name_of_a_part(tmp_path, monkeypatch):
+    path = tmp_path / "o.mp4"
+    path.write_bytes(b"of the last run")
+    full = SimpleNamespace(free=0)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _folder: full)
+    with (
+        pytest.raises(RecordingError, match=r"o\.part\.mp4: .* the disk is full"),
+        VideoWriter(path, fps=25) as video,
+    ):
+        video.write(np.zeros((48, 64), np.uint8))
+    assert path.read_bytes() == b"of the last run"
+    assert len(frames_of(tmp_path / "o.part.mp4")) == 1
 
 
 def test_ctrl_c_while_a_frame_is_written_leaves_a_whole_video(tmp_path, monkeypatch):

@@ -90,7 +90,7 @@ class VideoWriter:
         self._writer: cv2.VideoWriter | None = None
         self._size = (0, 0)
         self._count = 0
-        self._is_closed = False
+        self._is_full = self._is_closed = False
 
     def _reserved(self) -> Path:
         """Create a new file next to the video's."""
@@ -185,6 +185,7 @@ class VideoWriter:
                 self._count += 1
         self._shown = image
         if shutil.disk_usage(self.part.parent).free < _LEAST_FREE_BYTES:
+            self._is_full = True
             raise RecordingError(f"{self.part}: cannot be written any more: the disk is full")
 
     def _open(self, size: tuple[int, int]) -> cv2.VideoWriter:
@@ -205,6 +206,8 @@ class VideoWriter:
     def close(self) -> None:
         """Complete and rename the video; without a frame there is no file.
 
+        After `write` has found the disk full, the part keeps its name.
+
         Raises
         ------
         RecordingError
@@ -222,7 +225,8 @@ class VideoWriter:
             return
         if self._writer is not None:
             self._close_writer(self._writer)
-        self.part.replace(self.path)
+        if not self._is_full:
+            self.part.replace(self.path)
 
     def _close_writer(self, writer: cv2.VideoWriter) -> None:
         import cv2
