@@ -62,15 +62,16 @@ def rows(folder: Path) -> list[dict[str, str]]:
 
 def test_a_batch_gives_the_results_of_single_runs_and_lists_failures(rigs, recorded, tmp_path):
     points, out = recorded / "p.csv", tmp_path / "out"
-    others = [recorded / name for name in ("r.mcap", "cut.mcap", "bad.toml")]
+    others = [recorded / name for name in ("r.mcap", "cut.mcap", "bad.toml", "gone.mcap")]
     done = invoked("batch", rigs / "*.toml", *others, "--out", out)
     assert done.exit_code == 1
-    assert done.stdout == f"5 of 6 recordings: {out}/batch.csv\n"
-    (line,) = done.stderr.splitlines()
+    assert done.stdout == f"5 of 7 recordings: {out}/batch.csv\n"
+    line, gone = done.stderr.splitlines()
     assert line.startswith("bad: ")
     assert "no file matches" in line
+    assert gone.startswith(f"gone: {recorded / 'gone.mcap'}: No such file")
     table = {row["recording"]: row for row in rows(out)}
-    assert list(table) == ["a", "b", "rig", "r", "cut", "bad"]
+    assert list(table) == ["a", "b", "rig", "r", "cut", "bad", "gone"]
     for name in ("a", "b", "rig", "r"):
         assert (out / name / "points.csv").read_bytes() == points.read_bytes()
         assert int(table[name]["frames"]) == FRAMES

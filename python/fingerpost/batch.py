@@ -96,30 +96,39 @@ def tasks(patterns: Sequence[str], options: Mapping[str, Any]) -> list[Task]:
     Parameters
     ----------
     patterns
-        Rig files and recordings, by name or as globs.
+        Rig files and recordings, by name or as globs. A name without a file is a task that fails.
     options
         Options that differ from the tracker's defaults.
 
     Raises
     ------
     InvalidInputError
-        A pattern that no file matches.
+        A glob that no file matches.
     """
     paths: dict[Path, None] = {}
     for pattern in patterns:
         found = sorted(glob.glob(pattern, recursive=True))  # noqa: PTH207 - absolute patterns too
-        if not found:
+        if not found and glob.has_magic(pattern):
             raise InvalidInputError(f"{pattern}: no file matches; rigs or recordings are needed")
-        paths.update(dict.fromkeys(Path(os.path.abspath(name)) for name in found))  # noqa: PTH100
+        named = found or [pattern]
+        paths.update(dict.fromkeys(Path(os.path.abspath(name)) for name in named))  # noqa: PTH100
     return [
         Task(
             name=name,
             rig=str(path),
-            changed_ns=path.stat().st_mtime_ns,
+            changed_ns=_changed_ns(path),
             options=dict(options),
         )
         for name, path in zip(_names(list(paths)), paths, strict=True)
     ]
+
+
+def _changed_ns(path: Path) -> int:
+    """Return the time of a file's last change [ns]; 0 if there is no file."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
