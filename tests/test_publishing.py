@@ -286,6 +286,21 @@ def test_a_zenoh_subscriber_gets_fixes_as_json():
     assert sample.congestion_control == zenoh.CongestionControl.DROP
 
 
+@pytest.mark.parametrize(
+    ("url", "key"), [("zenoh://{}/lab", "lab/fix"), ("zenoh+ros2://{}/lab", "lab/ellipse")]
+)
+def test_recorded_fixes_wait_for_a_busy_connection_and_live_ones_do_not(url, key):
+    live = fix(2)
+    recorded = msgspec.structs.replace(live, unix_time_s=None)
+    expected = {recorded: zenoh.CongestionControl.BLOCK, live: zenoh.CongestionControl.DROP}
+    with Hub("lab/*") as hub:
+        for what, congestion_control in expected.items():
+            hub.received.clear()
+            with open_publisher(url.format(f"127.0.0.1:{hub.port}"), PLANE, waits=True) as one:
+                repeated(one, what, lambda: hub.last(key) is not None)
+            assert hub.last(key).congestion_control == congestion_control
+
+
 @pytest.mark.skipif(not LINUX, reason="needs /proc")
 def test_zenoh_listens_only_at_the_given_address():
     port, before = free_port(), listening()

@@ -56,6 +56,11 @@ class PublishedFix(msgspec.Struct, frozen=True, kw_only=True):
     reason: str = ""
 
     @property
+    def is_recorded(self) -> bool:
+        """Whether it comes from recorded views."""
+        return self.unix_time_s is None
+
+    @property
     def point(self) -> tuple[float, float] | None:
         """Indicated point [plane units]; None without a usable one."""
         return None if self.x is None or self.y is None else (self.x, self.y)

@@ -119,18 +119,17 @@ class Zenoh:
         import zenoh
 
         session = self._link.session()
-        drop = zenoh.CongestionControl.DROP
         session.put(
             f"{self._key}/fix",
             fix.as_json(),
             encoding=zenoh.Encoding.APPLICATION_JSON,
-            congestion_control=drop,
+            congestion_control=congestion_control(waits=fix.is_recorded),
             express=True,
         )
         if self.wants_pictures:
-            self.send_pictures(pictures)
+            self.send_pictures(pictures, waits=fix.is_recorded)
 
-    def send_pictures(self, pictures: Pictures) -> None:
+    def send_pictures(self, pictures: Pictures, *, waits: bool = False) -> None:
         """Send pictures, each with its time stamp; raises `CaptureError` without a peer."""
         import zenoh
 
@@ -143,7 +142,7 @@ class Zenoh:
                 image_key(self._key, view),
                 encoded(picture),
                 encoding=zenoh.Encoding.IMAGE_JPEG,
-                congestion_control=zenoh.CongestionControl.DROP,
+                congestion_control=congestion_control(waits=waits),
                 attachment=stamp(picture.index, round(picture.time_s * 1e9)),
             )
 
@@ -178,6 +177,13 @@ class _Clock:
     def close(self) -> None:
         self._questions.undeclare()  # type: ignore[no-untyped-call]
         self._thread.join()
+
+
+def congestion_control(*, waits: bool) -> zenoh.CongestionControl:
+    """Return whether a message waits for a busy connection, or is dropped as outdated."""
+    import zenoh
+
+    return zenoh.CongestionControl.BLOCK if waits else zenoh.CongestionControl.DROP
 
 
 def refuse_wild(address: Address, key: str) -> None:

@@ -17,7 +17,7 @@ from fingerpost.errors import InvalidInputError
 from fingerpost.publishing import cdr
 from fingerpost.publishing.address import Address
 from fingerpost.publishing.fix import Extent, Pictures, PublishedFix
-from fingerpost.publishing.over_zenoh import Link, refuse_wild
+from fingerpost.publishing.over_zenoh import Link, congestion_control, refuse_wild
 
 if TYPE_CHECKING:
     import zenoh
@@ -79,7 +79,7 @@ class Ros2:
             self._announce(session)
         self._sequence += 1
         for topic, data in cdr.messages(fix, self._unit_m, self._frame_id):
-            self._put(session, topic, data, fix.stamp_ns)
+            self._put(session, topic, data, fix)
 
     def key(self, topic: str) -> str:
         """Return the key of a topic for rmw_zenoh."""
@@ -87,16 +87,14 @@ class Ros2:
         known_hash = known_hash if self._has_hashes else _NO_HASH
         return f"{self._domain}/{self._name}/{topic}/{kind}/{known_hash}"
 
-    def _put(self, session: zenoh.Session, topic: str, data: bytes, time_ns: int) -> None:
-        import zenoh
-
-        attached = _ATTACHMENT.pack(self._sequence, time_ns, 16, self._gids[topic])
+    def _put(self, session: zenoh.Session, topic: str, data: bytes, fix: PublishedFix) -> None:
+        attached = _ATTACHMENT.pack(self._sequence, fix.stamp_ns, 16, self._gids[topic])
         for key in (self.key(topic), f"{self._name}/{topic}"):
             session.put(
                 key,
                 data,
                 attachment=attached,
-                congestion_control=zenoh.CongestionControl.DROP,
+                congestion_control=congestion_control(waits=fix.is_recorded),
                 express=True,
             )
 
