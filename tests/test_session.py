@@ -106,6 +106,22 @@ def test_annotations_are_at_the_hand_in_pixels_from_the_corner(recording, rig_fi
     np.testing.assert_allclose(annotated, last.observations[0].contour_px + 0.5, atol=1 / 64)
 
 
+def test_the_probabilities_of_targets_are_recorded_with_each_point(rig_file, tmp_path):
+    text = rig_file.read_text() + '[[target]]\nname = "cup"\npoint = [200, 200]\nradius = 30\n'
+    (rig_file.parent / "cup.toml").write_text(text)
+    path = tmp_path / "s.mcap"
+    assert invoked("run", rig_file.parent / "cup.toml", "--record", path).exit_code == 0
+    rows = {topic: [] for topic in ("/fix", "/targets")}
+    for topic, *_, message in messages(path):
+        rows.get(topic, []).append(message)
+    fixes = [row for row in rows["/fix"] if row["x"] is not None]
+    assert [row["frame"] for row in rows["/targets"]] == [row["frame"] for row in fixes]
+    last = rows["/targets"][-1]
+    assert last["target"] == "cup"
+    assert last["probabilities"]["cup"] > 0.5
+    assert last["probabilities"]["cup"] + last["none"] == pytest.approx(1.0)
+
+
 def test_the_rig_in_a_recording_has_its_views(recording):
     found, _ = read_about(recording)
     assert found.views == ("left", "right")

@@ -10,6 +10,7 @@ A recording is an MCAP file (https://mcap.dev) of these parts, so that common vi
   were passed through or are PNG; `/VIEW/calibration`, foxglove.CameraCalibration;
 - of a run that followed hands: `/VIEW/annotations`, foxglove.ImageAnnotations; `/VIEW/track` and
   `/fix`, JSON with the columns of the tables; `/plane`, foxglove.SceneUpdate in plane units;
+  `/targets`, JSON (`TargetProbabilities`), if the rig has targets;
 - of a run that guided an arm: `/robot/pose`, foxglove.PoseInFrame; `/robot/state` and
   `/robot/command`, JSON (`fingerpost.guidance.arm_recording`).
 
@@ -58,6 +59,7 @@ MAGIC = b"\x89MCAP0\r\n"
 FRAMES_TOPIC = "/frames"
 FIX_TOPIC = "/fix"
 PLANE_TOPIC = "/plane"
+TARGETS_TOPIC = "/targets"
 METADATA_NAME = "fingerpost"
 END_NAME = "fingerpost/end"
 RIG_NAME = "rig.toml"
@@ -133,6 +135,28 @@ class Together(msgspec.Struct, frozen=True):
 
     step: int
     frames: tuple[Captured | None, ...]
+
+
+class TargetProbabilities(msgspec.Struct, frozen=True):
+    """At which target the hand points: a message of `/targets` for each fix with a point.
+
+    Attributes
+    ----------
+    frame, time_s
+        As in the fix.
+    target
+        The most probable target; None if it is more probable that there is none.
+    probabilities
+        Probability of each target, by name.
+    none
+        Probability that the hand points at no target.
+    """
+
+    frame: int
+    time_s: float
+    target: str | None
+    probabilities: dict[str, float]
+    none: float
 
 
 class About(msgspec.Struct, frozen=True, kw_only=True):

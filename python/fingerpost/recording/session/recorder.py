@@ -33,14 +33,17 @@ from fingerpost.mcap_file import (
     METADATA_NAME,
     PLANE_TOPIC,
     RIG_NAME,
+    TARGETS_TOPIC,
     About,
     Captured,
+    TargetProbabilities,
     Together,
     annotations_topic,
     calibration_topic,
     image_topic,
     track_topic,
 )
+from fingerpost.pointing import Fix
 from fingerpost.recording.interrupts import uninterrupted
 from fingerpost.recording.session.messages import (
     calibration,
@@ -326,6 +329,9 @@ class Recorder:
             )
             self._write_message(annotations_topic(observed.view), message, log_ns, row.frame)
         self._write_json(FIX_TOPIC, PointRow, row, log_ns, row.frame)
+        if step.fix.targets:
+            pointed = _target_probabilities(step.fix, row)
+            self._write_json(TARGETS_TOPIC, TargetProbabilities, pointed, log_ns, row.frame)
         plane_views = [observed.plane_view for observed in step.observations]
         if plane_views and plane_views[0] is not None:
             scene = plane_scene(step.fix, plane_views[0], log_ns)
@@ -366,6 +372,11 @@ class Recorder:
         self._writer.add_message(
             self._channels[topic], log_ns, data, publish_time=log_ns, sequence=sequence
         )
+
+
+def _target_probabilities(fix: Fix, row: PointRow) -> TargetProbabilities:
+    named = {name: share for name, share in fix.targets.items() if name is not None}
+    return TargetProbabilities(row.frame, row.time_s, fix.target, named, fix.targets.get(None, 0.0))
 
 
 def _captured(seen: Seen) -> Captured:
