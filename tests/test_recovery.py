@@ -13,6 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 from fingerpost.capture import Frame, open_source
 from fingerpost.cli import main
+from fingerpost.mcap_file import Message, Records
 from fingerpost.recording.session import About, Images, Recorder
 
 FRAMES = 40
@@ -140,6 +141,19 @@ def test_a_damaged_chunk_loses_only_its_own_messages(tmp_path, number):
     ends = ends_of_messages(whole)
     lost = ends.count(chunk.chunk_start_offset + chunk.chunk_length)
     assert len(read(tmp_path / "r.mcap")) == len(ends) - lost
+
+
+def test_reading_from_a_time_passes_over_earlier_chunks(tmp_path):
+    data = bytearray(foreign(tmp_path / "whole.mcap", CompressionType.ZSTD).read_bytes())
+    (tmp_path / "cut.mcap").write_bytes(data[:-1])
+    with (tmp_path / "whole.mcap").open("rb") as file:
+        chunk = make_reader(file).get_summary().chunk_indexes[1]
+    data[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 0xFF  # would be noticed
+    (tmp_path / "indexed.mcap").write_bytes(data)
+    for name, wrong in (("indexed", ""), ("cut", f"cut off at byte {len(data) - 1}")):
+        records = Records(tmp_path / f"{name}.mcap", start_s=0.5)
+        steps = [record.sequence for record in records if isinstance(record, Message)]
+        assert (steps, records.wrong) == (list(range(50, 100)), wrong)
 
 
 def test_a_cut_recording_is_a_source_up_to_the_cut(recording, tmp_path):

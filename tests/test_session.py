@@ -208,6 +208,18 @@ def test_a_replay_of_a_view_that_was_silent_gives_the_recorded_fixes(rig_file, t
     assert "damaged" not in done.stdout
 
 
+def test_a_replay_from_a_time_gives_the_fixes_of_a_run_from_there(recording, rig_file, tmp_path):
+    tables = []
+    for command, source in (("run", rig_file), ("replay", recording)):
+        tables.append(tmp_path / f"{command}.csv")
+        done = invoked(command, source, "--start", 0.2, "--points", tables[-1])
+        assert done.exit_code == 0, done.output
+    begun = read_points(tables[0])
+    assert [row.time_s for row in begun] == pytest.approx([0.2, 0.24, 0.28])
+    assert tables[0].read_bytes() == tables[1].read_bytes()
+    assert "the views end before that" in refused("replay", recording, "--start", 9)
+
+
 def test_fixes_with_other_options_are_compared_with_the_recorded_ones(recording, tmp_path):
     table = tmp_path / "b.csv"
     done = invoked("replay", recording, "--model", "paper", "--beside", table)

@@ -66,6 +66,7 @@ RIG_NAME = "rig.toml"
 
 _HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, size, CRC, length of the compression's name
+_CHUNK_TIMES = struct.Struct("<QQ")  # its first fields: the first and the last log time
 # Self-contained records; indices and statistics are recomputed when a file is written.
 _KEPT: dict[int, type[McapRecord]] = {
     Opcode.HEADER: Header,
@@ -205,6 +206,9 @@ class Records:
     ----------
     path
         The file.
+    start_s
+        Messages whose log time is less than this after the first one's are left out [s]. A file
+        with an index is read from there.
 
     Attributes
     ----------
@@ -217,9 +221,10 @@ class Records:
         The file cannot be read, or is no MCAP file.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, start_s: float = 0.0) -> None:
         self.wrong = ""
         self._path = path
+        self._start_ns = round(1e9 * start_s)
         try:
             self._size = path.stat().st_size
             self._file: BinaryIO = path.open("rb")
@@ -236,6 +241,29 @@ class Records:
         self._file.close()
 
     def __iter__(self) -> Iterator[McapRecord]:
+        summary = read_summary(self._path) if self._start_ns else None
+        if summary is None or summary.statistics is None:
+            yield from self._later(self._from(0))
+            return
+        begin_ns = summary.statistics.message_start_time + self._start_ns
+        yield from summary.schemas.values()
+        yield from summary.channels.values()
+        for record in self._from(begin_ns):
+            if not isinstance(record, Message) or record.log_time >= begin_ns:
+                yield record
+
+    def _later(self, records: Iterator[McapRecord]) -> Iterator[McapRecord]:
+        """Leave out the messages before the start, counted from the first message."""
+        first_ns: int | None = None
+        for record in records:
+            if isinstance(record, Message):
+                first_ns = record.log_time if first_ns is None else first_ns
+                if record.log_time < first_ns + self._start_ns:
+                    continue
+            yield record
+
+    def _from(self, begin_ns: int) -> Iterator[McapRecord]:
+        """Yield all records but those of chunks that end before a log time."""
         with self._file:
             while (head := self._file.read(_HEAD.size)) and len(head) == _HEAD.size:
                 opcode, length = _HEAD.unpack(head)
@@ -244,7 +272,9 @@ class Records:
                     self._judge_end(place + length)
                     return
                 is_whole = place + length <= self._size
-                if opcode == Opcode.CHUNK:
+                if opcode == Opcode.CHUNK and is_whole and self._ends_before(begin_ns):
+                    self._file.seek(place + length)
+                elif opcode == Opcode.CHUNK:
                     yield from self._in_chunk(self._file.read(length), is_whole)
                 elif opcode in _KEPT and is_whole:
                     yield from self._read(opcode, self._file.read(length))
@@ -253,6 +283,12 @@ class Records:
                 if not is_whole:
                     break
             self.wrong = self.wrong or f"cut off at byte {self._size}"
+
+    def _ends_before(self, begin_ns: int) -> bool:
+        """Return whether the chunk at the present place has no message from a log time on."""
+        head = self._file.read(_CHUNK_TIMES.size)
+        self._file.seek(-len(head), 1)
+        return len(head) == _CHUNK_TIMES.size and _CHUNK_TIMES.unpack(head)[1] < begin_ns
 
     def _judge_end(self, end: int) -> None:
         self._file.seek(end)

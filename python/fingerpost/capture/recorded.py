@@ -62,7 +62,12 @@ class RecordedView(Source):
         if summary is not None:
             self.frame_count = message_counts(summary).get(image_topic(view))
         self._wrong = ""
+        self._start_s = 0.0
         self._entries = self._read()
+
+    def begin_at(self, start_s: float) -> None:
+        """Leave out the steps up to a time after the first one's; the file is read from there."""
+        self._start_s = start_s
 
     def _next_frame(self) -> Frame | Loss:
         self.step, seen, data = next(self._entries)
@@ -76,7 +81,7 @@ class RecordedView(Source):
 
     def _read(self) -> Iterator[tuple[int, Captured, bytes]]:
         """Yield each step with an entry of the view, that entry, and its encoded picture."""
-        records = Records(self._path)
+        records = Records(self._path, start_s=self._start_s)
         topics: dict[int, str] = {}
         step, data = -1, b""
         with closing(records):

@@ -320,6 +320,9 @@ class Source(ABC):
     def pass_over(self) -> None:  # noqa: B027 - frames of recordings are never passed over
         """Discard the waiting frame of a live source in favour of the next one."""
 
+    def begin_at(self, start_s: float) -> None:  # noqa: B027 - of sources with a `recording` only
+        """Leave out the steps up to a time after the first one's [s]; call before reading."""
+
     def wait(self, at_most_s: float = math.inf) -> None:  # noqa: B027 - nothing to wait for is usual
         """Return when the next frame or a loss is available; at once for recorded sources."""
 

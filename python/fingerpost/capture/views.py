@@ -16,6 +16,7 @@ _log = logging.getLogger(__name__)
 
 _GIVE_UP_AFTER_S = (1e-3, 1e9)
 _SPEEDS = (1e-3, 1e3)
+_STARTS_S = (0.0, 1e9)
 
 _SLOW_PERIODS = 1.5
 """Ratio of a view's frame period to that of the fastest view above which it is not waited for."""
@@ -25,7 +26,7 @@ _ALL_LOST_STEP_S = 0.5
 
 
 def read_views(
-    sources: Sequence[Source], *, give_up_after_s: float | None = None
+    sources: Sequence[Source], *, give_up_after_s: float | None = None, start_s: float = 0.0
 ) -> Iterator[tuple[Frame | Loss | None, ...]]:
     """Step through several views together.
 
@@ -38,6 +39,8 @@ def read_views(
         One open source per view, all recorded or all live. The caller closes them.
     give_up_after_s
         Longest silence of a live view before an error is raised [s], above 0; None waits for ever.
+    start_s
+        Time after the first step at which to begin, of recorded views [s], 0 and more.
 
     Yields
     ------
@@ -53,8 +56,8 @@ def read_views(
     CaptureError
         A source fails while it is read, or is silent for too long.
     InvalidInputError
-        `give_up_after_s` is out of range, there is no source, or recorded and live ones are mixed:
-        their clocks are unrelated.
+        `give_up_after_s` or `start_s` is out of range, live views are to begin later, there is no
+        source, or recorded and live ones are mixed: their clocks are unrelated.
     """
     if not sources:
         raise InvalidInputError("no source: at least one view is needed")
@@ -64,12 +67,29 @@ def read_views(
         raise InvalidInputError(f"views must be all recorded or all live, not {names}")
     if give_up_after_s is not None:
         in_range(give_up_after_s, "give_up_after_s", *_GIVE_UP_AFTER_S)
+    in_range(start_s, "start_s", *_STARTS_S)
     if kinds == {SourceKind.LIVE}:
+        if start_s:
+            raise InvalidInputError("live views begin now; only recorded ones can begin later")
         return _newest_together(sources, give_up_after_s)
     recordings = {source.recording for source in sources}
     if len(recordings) == 1 and None not in recordings:
+        for source in sources:
+            source.begin_at(start_s)
         return _as_recorded(sources)
-    return _in_step(sources)
+    return _later(_in_step(sources), start_s)
+
+
+def _later(
+    frames: Iterator[tuple[Frame | Loss | None, ...]], start_s: float
+) -> Iterator[tuple[Frame | Loss | None, ...]]:
+    """Leave out the steps up to a time after the first one's [s]."""
+    begin_s = -math.inf
+    for together in frames:
+        time_s = max(seen.time_s for seen in together if seen is not None)
+        begin_s = time_s + start_s if begin_s == -math.inf else begin_s
+        if time_s >= begin_s:
+            yield together
 
 
 def at_speed(

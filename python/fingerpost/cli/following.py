@@ -52,6 +52,7 @@ class Following:
     record: Path | None = None
     images: str | None = None
     max_frames: int | None = None
+    start_s: float = 0.0
     give_up_after_s: float | None = None
     model: str = "ribbon"
     settings: tuple[str, ...] = ()
@@ -111,6 +112,14 @@ _OPTIONS = (
     ),
     click.option("--overlay", metavar="O.WEBM", type=_OUT, help="Write a video that shows both."),
     *EVENT_OPTIONS,
+    click.option(
+        "--start",
+        "start_s",
+        metavar="S",
+        type=click.FloatRange(0.0, 1e9),
+        default=0.0,
+        help="Begin S seconds after the first frame of recorded views.",
+    ),
     click.option(
         "--max-frames", metavar="N", type=click.IntRange(min=1), help="Stop after N frames."
     ),
@@ -198,7 +207,8 @@ def follow(
             if asked.events is not None:
                 takers.append(event_taker(stack, rig, asked.events, asked.dwell_s))
             frames: Iterator[Sequence[Frame | Loss | None]] = at_most(
-                read_views(sources, give_up_after_s=asked.give_up_after_s), asked.max_frames
+                read_views(sources, give_up_after_s=asked.give_up_after_s, start_s=asked.start_s),
+                asked.max_frames,
             )
             if asked.speed is not None:
                 if is_live:
@@ -211,7 +221,8 @@ def follow(
                 takers.append(take)
             if line is not None:
                 line.clear()
-                count = None if is_live else _frame_count(asked.max_frames, sources)
+                is_known = not (is_live or asked.start_s)
+                count = _frame_count(asked.max_frames, sources) if is_known else None
                 if count is None:
                     takers.append(_live_status(line, pointer, rig.plane.unit))
                 else:
@@ -222,6 +233,8 @@ def follow(
                 summary.add(step.fix)
                 for taker in takers:
                     taker(step)
+            if asked.start_s and not summary.frames:
+                raise click.UsageError(f"--start {asked.start_s:g}: the views end before that")
     finally:
         notes = [*source_notes(rig.sources, sources), *pointer.notes(), *outputs.notes()]
         if asked.prints_lines:
