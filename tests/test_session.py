@@ -21,6 +21,7 @@ from recordings import messages
 
 from fingerpost.capture import Frame, Loss, open_source, open_views, read_views
 from fingerpost.cli import main
+from fingerpost.cli.following import SETTING_EXAMPLE, settings_of
 from fingerpost.cli.recorder import open_recorder
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError, RecordingError, SourceError
@@ -237,7 +238,9 @@ def test_fixes_with_other_options_are_compared_with_the_recorded_ones(recording,
 
 def test_options_of_the_tracker_are_set_by_name(recording):
     assert "no_such" in refused("replay", recording, "--set", "fit.no_such=1")
-    assert "KEY=VALUE" in refused("replay", recording, "--set", "fit")
+    said = refused("replay", recording, "--set", "fit")
+    assert said.endswith(f"KEY=VALUE as in TOML is right, such as {SETTING_EXAMPLE}")
+    Pointer(Rig.load(recording), tracker_options=settings_of("ribbon", (SETTING_EXAMPLE,)))
     done = invoked("replay", recording, "--set", 'model="paper"')
     assert "differ from the recorded" in done.stdout
 

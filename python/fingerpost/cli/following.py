@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from fingerpost.pipeline import Pointer, Step
     from fingerpost.recording import TableWriter, TrackRow
 
+SETTING_EXAMPLE = "search.blur_px=1.5"
+
 _OVERLAY_TRAIL = 40  # points that the plan shows behind the newest one
 
 _OUT = click.Path(path_type=Path)
@@ -101,7 +103,7 @@ _TRACKER_OPTIONS = (
         "settings",
         metavar="KEY=VALUE",
         multiple=True,
-        help="Set an option of the tracker, as in refine.max_offset_px=3.",
+        help=f"Set an option of the tracker, as in {SETTING_EXAMPLE}.",
     ),
 )
 
@@ -260,7 +262,7 @@ def settings_of(model: str, settings: tuple[str, ...]) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         raise click.UsageError(
             f"--set {' '.join(settings)}: {error}; KEY=VALUE as in TOML is right, such as "
-            "refine.max_offset_px=3"
+            f"{SETTING_EXAMPLE}"
         ) from error
 
 
