@@ -34,7 +34,7 @@ LINK = re.compile(r"(\]\()([^)#:\s]+)((?:#[^)]*)?\))")
 
 def main() -> int:
     """Build the site; return 1 if a link leads nowhere."""
-    shutil.rmtree(LAID.parent, ignore_errors=True)
+    shutil.rmtree(LAID, ignore_errors=True)
     shutil.rmtree(SITE, ignore_errors=True)
     lay_pages()
     write_command_line(LAID / "api" / "command-line.md")

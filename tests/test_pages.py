@@ -95,5 +95,14 @@ def test_the_tutorials_run(page, recording, tmp_path, monkeypatch, capsys):
         assert '"select"' in Path("events.jsonl").read_text()
 
 
+def test_the_program_of_two_webcams_prints_points(recording, monkeypatch, capsys):
+    """The commands of that page need cameras."""
+    monkeypatch.chdir(recording.parent)
+    blocks = fenced(ROOT / "docs/tutorials/two-webcams.md")
+    (program,) = [block for language, block in blocks if language == "python"]
+    exec(compile(program, "two-webcams.md", "exec"), {})
+    assert "Ellipse(" in capsys.readouterr().out
+
+
 def test_there_are_tutorials_to_run():
     assert {page.stem for page in TUTORIALS} == {"recordings", "targets"}

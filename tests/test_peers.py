@@ -9,6 +9,9 @@ from types import ModuleType
 
 import pytest
 
+from fingerpost.capture import open_views
+from fingerpost.config import Rig
+
 PEERS = Path(__file__).resolve().parents[1] / "benches" / "peers"
 CLIP = PEERS.parents[1] / "python" / "fingerpost" / "data" / "desk"
 INSTALL = "apt install no-such-library-dev"
@@ -50,6 +53,21 @@ def test_a_peer_without_a_compiler_is_skipped_with_the_command(
     row = row_of_native(peers, tmp_path / "peer.cpp")
     assert "skipped: no compiler" in row
     assert f"`{INSTALL}`" in row
+
+
+def test_footage_and_truth_travel_with_the_benchmark(peers: ModuleType) -> None:
+    assert len(peers.FOOTAGE) == 2
+    for folder in peers.FOOTAGE:
+        rig = Rig.load(folder / "rig.toml")
+        header, *rows = (folder / "truth.csv").read_text(encoding="utf-8").splitlines()
+        assert header == "frame,time_s,x,y"
+        assert len(rows) >= 90
+        with open_views(rig.sources) as sources:
+            assert all(source.frame_count > int(rows[-1].split(",")[0]) for source in sources)
+        lines = list(peers.table_of(folder / "rig.toml", folder / "truth.csv", ()))
+        assert lines[0].strip() == folder.name
+        assert lines[-1].count("|") == 10
+    assert "MIT License" in (PEERS / "mat" / "LICENSE.txt").read_text(encoding="utf-8")
 
 
 def test_native_peers_name_their_package_and_have_a_source(peers: ModuleType) -> None:

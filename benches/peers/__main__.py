@@ -2,12 +2,13 @@
 
     python benches/peers [RIG.TOML TRUTH.CSV] [--only NAME ...] [--markdown TABLE.MD]
 
-Without footage, the built-in clip. Each tracker runs in a process of its own, one after the other,
-and a peer in an environment of its own under build/peers, which is made when it is missing; what
-is in C++ is compiled there. A peer that cannot be had is named and skipped, with the reason. Every
-tracker gives a finger line per view and frame, two views' lines are taken to a point by the same
-reference points, and `score_points` compares it with the truth. fingerpost gives its point itself,
-with a covariance; the peers have none.
+Without footage, two clips: the built-in one, which is rendered, and `mat`, a real hand. Each
+tracker runs in a process of its own, one after the other, and a peer in an environment of its own
+under build/peers, which is made when it is missing; what is in C++ is compiled there. A peer that
+cannot be had is named and skipped, with the reason. Every tracker gives a finger line per view and
+frame, two views' lines are taken to a point by the same reference points, and `score_points`
+compares it with the truth. fingerpost gives its point itself, with a covariance; the peers have
+none.
 
 - *available*: frames with a truth that have a point
 - *held*: 95 % ellipses that hold the true point
@@ -23,6 +24,7 @@ import json
 import subprocess
 import sys
 import venv
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +38,7 @@ from fingerpost.lines import constraint_line
 
 HERE = Path(__file__).resolve().parent
 CLIP = HERE.parents[1] / "python" / "fingerpost" / "data" / "desk"
+FOOTAGE = (CLIP, HERE / "mat")
 BUILD = HERE.parents[1] / "build" / "peers"
 
 
@@ -130,19 +133,26 @@ def main() -> None:
     given = parser.parse_args()
     if len(given.footage) not in {0, 2}:
         parser.error("RIG.TOML and TRUTH.CSV go together")
-    rig_file, truth = given.footage or (CLIP / "rig.toml", CLIP / "truth.csv")
+    travelling = [(folder / "rig.toml", folder / "truth.csv") for folder in FOOTAGE]
+    footage = [tuple(given.footage)] if given.footage else travelling
     BUILD.mkdir(parents=True, exist_ok=True)
-    table = [
-        "| tracker | version | available | RMS | median | 95 % | held | a pair | memory |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    print(*table, sep="\n", flush=True)
-    for peer in PEERS:
-        if peer.name in given.only:
-            table.append(row_of(peer, rig_file, truth))
-            print(table[-1], flush=True)
+    lines = []
+    for rig_file, truth in footage:
+        for line in table_of(rig_file, truth, given.only):
+            print(line, flush=True)
+            lines.append(line)
     if given.markdown is not None:
-        given.markdown.write_text("\n".join(table) + "\n", encoding="utf-8")
+        given.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def table_of(rig_file: Path, truth: Path, names: Collection[str]) -> Iterator[str]:
+    """Yield the lines of the table of one footage, each as soon as its peer has run."""
+    yield f"\n{rig_file.resolve().parent.name}\n"
+    yield "| tracker | version | available | RMS | median | 95 % | held | a pair | memory |"
+    yield "|---|---|---|---|---|---|---|---|---|"
+    for peer in PEERS:
+        if peer.name in names:
+            yield row_of(peer, rig_file, truth)
 
 
 def row_of(peer: Peer, rig_file: Path, truth: Path) -> str:
@@ -166,7 +176,7 @@ def row_of(peer: Peer, rig_file: Path, truth: Path) -> str:
     held = [f"{100 * c.held:.0f} %" for c in found.coverages if c.nominal == 0.95] or ["no ellipse"]
     return (
         f"| {peer.name} | {said['version']} | {summary.available} of {summary.targets} | "
-        f"{found.rms_of_all:.1f} {unit} | {found.median:.1f} | {found.percentile_95:.1f} | "
+        f"{found.rms_of_all:.3g} {unit} | {found.median:.3g} | {found.percentile_95:.3g} | "
         f"{held[0]} | {1e3 * said['pair_s']:.1f} ms | {said['memory_mb']:.0f} MB |"
     )
 
