@@ -202,7 +202,9 @@ def test_a_recovery_onto_a_full_disk_leaves_nothing(recording, tmp_path, monkeyp
     monkeypatch.setattr(os, "fsync", full)
     done = invoked("recover", recording, tmp_path / "r.mcap")
     (line,) = done.stderr.splitlines()
-    assert line.endswith(f"No space left on device; {recording} is as it was")
+    assert line.endswith(
+        "r.mcap: cannot be written any more: No space left on device; nothing is left"
+    )
     assert (done.exit_code, list(tmp_path.iterdir())) == (1, [])
 
 

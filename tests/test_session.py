@@ -444,6 +444,24 @@ def test_a_full_disk_is_reported_at_once(rig_file, tmp_path, monkeypatch):
     assert path.stat().st_size == whole
 
 
+@pytest.mark.parametrize("flushes", [0, 1])
+def test_a_recording_onto_a_full_disk_is_not_said_to_hold_all_frames(
+    rig_file, tmp_path, monkeypatch, flushes
+):
+    left = iter([None] * flushes)
+    full = OSError(28, "No space left on device")
+
+    def fill(_descriptor):
+        if next(left, full) is full:
+            raise full
+
+    monkeypatch.setattr(os, "fsync", fill)
+    done = invoked("record", rig_file, tmp_path / "s.mcap")
+    assert (done.exit_code, done.stdout) == (1, "")
+    assert ("nothing is left" in done.stderr) == (flushes == 0)
+    assert (tmp_path / "s.mcap").exists() == (flushes == 1)
+
+
 @pytest.mark.skipif(os.name == "nt", reason="Windows keeps open files")
 def test_a_removed_recording_is_reported(tmp_path):
     folder = tmp_path / "gone"

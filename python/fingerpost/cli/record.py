@@ -15,6 +15,7 @@ from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.progress import status_line
 from fingerpost.cli.recorder import check_recording, images_option, open_recorder
 from fingerpost.cli.run_summary import source_notes
+from fingerpost.errors import RecordingError
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
@@ -75,6 +76,9 @@ def record(
                     shown_s = elapsed_s
                     line.show(f"recording: {count} frames of each view in {elapsed_s:.1f} s")
                 notes = recorder.notes()
+    except RecordingError:
+        count = 0  # fewer are in the file
+        raise
     finally:
         notes = [*source_notes(rig.sources, sources), *notes]
         if count:

@@ -100,6 +100,8 @@ class Recorder:
     ------
     InvalidInputError
         The file exists or cannot be created.
+    RecordingError
+        The disk is full from the beginning; no file is left.
     """
 
     def __init__(
@@ -286,10 +288,14 @@ class Recorder:
             self._rows.get()()
 
     def _begin(self, rig_text: str) -> None:
-        self._writer.start(library=f"fingerpost {self._about.version}")
-        self._writer.add_metadata(METADATA_NAME, self._about.metadata())
-        self._writer.add_attachment(0, 0, RIG_NAME, "application/toml", rig_text.encode())
-        self._writer.flush()
+        try:
+            self._writer.start(library=f"fingerpost {self._about.version}")
+            self._writer.add_metadata(METADATA_NAME, self._about.metadata())
+            self._writer.add_attachment(0, 0, RIG_NAME, "application/toml", rig_text.encode())
+            self._writer.flush()
+        except RecordingError:
+            self._stream.discard()
+            raise
 
     def _write_frames(self, step: int, frames: Sequence[Seen | None]) -> None:
         log_ns = self._time_ns(next(seen for seen in frames if seen is not None))

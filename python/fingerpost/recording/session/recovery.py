@@ -66,11 +66,11 @@ def recover(cut: Path, whole: Path) -> Recovered:
         header = next(copied, None)
         if not isinstance(header, Header):
             raise SourceError(f"{cut}: {records.wrong or 'has no header'}: nothing is left of it")
-        with closing(RecordingStream(whole, f"{cut} is as it was")) as stream:
+        with closing(RecordingStream(whole)) as stream:
             try:
                 copy = _copied(header, copied, stream)
             except RecordingError:
-                whole.unlink(missing_ok=True)
+                stream.discard()
                 raise
     return Recovered(copy.messages, (copy.end_ns - copy.start_ns) / 1e9, records.wrong)
 

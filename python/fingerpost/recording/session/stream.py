@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fingerpost.errors import InvalidInputError, RecordingError
 
-_REST = "what was recorded until the last second is there, `fingerpost recover` makes it whole"
+_KEPT = "what was recorded until the last second is there, `fingerpost recover` makes it whole"
 
 
 class RecordingStream:
@@ -22,8 +22,6 @@ class RecordingStream:
     ----------
     path
         The file.
-    rest
-        What remains if writing fails, in words for the user.
 
     Raises
     ------
@@ -31,9 +29,8 @@ class RecordingStream:
         The file exists or cannot be created.
     """
 
-    def __init__(self, path: Path, rest: str = _REST) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self._rest = rest
         self._place = self._whole = 0
         try:
             self._file = path.open("xb", buffering=0)
@@ -91,9 +88,13 @@ class RecordingStream:
         """Close the file; closing twice does nothing."""
         self._file.close()
 
+    def discard(self) -> None:
+        """Close and remove the file."""
+        self.close()
+        self.path.unlink(missing_ok=True)
+
     def _failed(self, error: OSError) -> RecordingError:
         with contextlib.suppress(OSError):
             self._file.truncate(self._whole)
-        return RecordingError(
-            f"{self.path}: cannot be written any more: {error.strerror}; {self._rest}"
-        )
+        rest = _KEPT if self._whole else "nothing is left"
+        return RecordingError(f"{self.path}: cannot be written any more: {error.strerror}; {rest}")
