@@ -22,6 +22,7 @@
 //! Sources: Stauffer & Grimson 1999 for a background of persistent levels; Horprasert, Harwood &
 //! Davis 1999 for shadows as a change of brightness without a change of hue.
 
+mod change;
 mod light;
 pub mod options;
 mod visit;
@@ -30,6 +31,7 @@ use super::background::options::{BackgroundOptions, KeepOut, Light};
 use crate::Result;
 use crate::image::frame::Frame;
 use crate::numeric::simd::Isa;
+use change::{Change, Comparison, ForegroundRow};
 use nalgebra::Vector2;
 pub use visit::CELL_PX;
 use visit::{BackgroundLearning, Visits};
@@ -111,14 +113,6 @@ pub struct Background {
     ratios: Vec<f32>,
 }
 
-/// Difference of a pixel from its background.
-struct Change {
-    /// In standard deviations.
-    sigmas: f32,
-    /// Whether a shadow would explain it.
-    is_shadow: bool,
-}
-
 /// The background's gradient at a pixel, in the light of the frame, and the frame's difference from
 /// the background.
 #[derive(Debug, Clone, Copy)]
@@ -148,19 +142,6 @@ const PAIR: usize = CELL_PX;
 const SAMPLES: usize = 3000;
 /// Displacement up to which the background counts as exact \[px\].
 const EXACT_PX: f64 = 0.15;
-/// Largest change of chromaticity (a channel as a part of the sum of the channels) in a shadow,
-/// apart from noise.
-const SHADOW_HUE: f32 = 0.025;
-/// Noise of a channel as a multiple of that of the grey level.
-const COLOUR_NOISE: f32 = 1.5;
-/// Least ratio of brightness of a shadow without colours, where a darker one might be a hand.
-const GREY_SHADOW_LIGHT: f32 = 0.8;
-/// Factor on the foreground probability of a pixel that a shadow would explain: a hand in a dark
-/// glove resembles one.
-const SHADOW_FOREGROUND: f32 = 0.6;
-/// Range over which the foreground probability rises from 0 to 1, in parts of
-/// [`BackgroundOptions::changed_sigmas`].
-const RAMP: (f32, f32) = (0.6, 1.4);
 /// Ratio of the variance of the light fit's residuals beyond the noise to the part of it that
 /// remains in the mean of a pixel: each frame has a light of its own, and their errors average over
 /// the frames. A tenth of the standard deviation is assumed to remain; this was not measured.
@@ -356,7 +337,7 @@ impl Background {
         }
         let (x, y) = ((u + 0.5) as usize, (v + 0.5) as usize);
         let (x, y) = (x.min(size.0 - 1), y.min(size.1 - 1));
-        self.change(frame, x, y, size.0).map(|change| f64::from(self.likelihood(&change)))
+        self.change(frame, x, y, size.0).map(|c| f64::from(self.comparison().likelihood(&c)))
     }
 
     /// Fills `map` with the foreground probability of every cell of the frame; 0 while the
@@ -366,14 +347,25 @@ impl Background {
         (map.width, map.height) = (width.div_ceil(CELL_PX), height.div_ceil(CELL_PX));
         map.step = CELL_PX;
         map.cells.clear();
+        map.cells.resize(map.width * map.height, 0);
         if !self.is_known() || self.size != Some((width, height)) {
-            map.cells.resize(map.width * map.height, 0);
             return;
         }
-        for y in (0..height).step_by(CELL_PX) {
-            map.cells.extend((0..width).step_by(CELL_PX).map(|x| {
-                self.change(frame, x, y, width).map_or(0, |c| (255.0 * self.likelihood(&c)) as u8)
-            }));
+        let (comparison, known_from) = (self.comparison(), self.known_from() as u8);
+        for (cy, cells) in map.cells.chunks_exact_mut(map.width).enumerate() {
+            let y = CELL_PX * cy;
+            let pixels = y * width..(y + 1) * width;
+            Isa::detect().run(ForegroundRow {
+                comparison,
+                known_from,
+                level: &self.grey.level[pixels.clone()],
+                variance: &self.grey.variance[pixels.clone()],
+                seen: &self.grey.seen[pixels],
+                now: frame.image().row(y).unwrap_or_default(),
+                colour: self.colour.get(cy * map.width..).unwrap_or_default(),
+                now_in_colour: frame.colour().and_then(|c| c.row(y)).unwrap_or_default(),
+                cells,
+            });
         }
     }
 
@@ -418,43 +410,21 @@ impl Background {
         f64::from(self.grey.variance[i]).max(self.options.noise_grey * self.options.noise_grey)
     }
 
-    /// Foreground probability for the difference of a pixel, 0–1.
-    fn likelihood(&self, change: &Change) -> f32 {
-        let part = change.sigmas / self.options.changed_sigmas as f32;
-        let likely = ((part - RAMP.0) / (RAMP.1 - RAMP.0)).clamp(0.0, 1.0);
-        if change.is_shadow { SHADOW_FOREGROUND * likely } else { likely }
+    /// Comparison of the last frame with the background.
+    fn comparison(&self) -> Comparison {
+        Comparison::new(&self.options, self.light, self.light_sigma)
     }
 
     /// Difference of a pixel inside the image from its background; `None` where that is unknown.
+    #[inline]
     fn change(&self, frame: &Frame<'_>, x: usize, y: usize, width: usize) -> Option<Change> {
         let i = y * width + x;
         if usize::from(self.grey.seen[i]) < self.known_from() {
             return None;
         }
         let now = f32::from(frame.image().pixel(x, y)?);
-        let (gain, offset) = (self.light.gain as f32, self.light.offset_grey as f32);
-        let grey = gain * self.grey.level[i] + offset;
-        let noise = self.options.noise_grey as f32;
-        let sigma =
-            self.grey.variance[i].max(noise * noise).sqrt() * gain.max(1.0) + self.light_sigma;
-        let mut sigmas = (now - grey).abs() / sigma;
-        let mut light = now / grey.max(1.0);
-        let mut deepest = (self.options.shadow_light as f32).max(GREY_SHADOW_LIGHT);
-        let mut hue = 0.0;
-        if let Some((known, now)) = self.colours(frame, x, y) {
-            let expected = known.map(|c| gain * c + offset);
-            let (sum_expected, sum_now) =
-                (expected.iter().sum::<f32>().max(1.0), now.iter().sum::<f32>().max(1.0));
-            for (a, b) in expected.iter().zip(now) {
-                sigmas = sigmas.max((b - a).abs() / (COLOUR_NOISE * sigma));
-                hue = f32::max(hue, (a / sum_expected - b / sum_now).abs());
-            }
-            hue -= COLOUR_NOISE * sigma / sum_now;
-            light = sum_now / sum_expected;
-            deepest = self.options.shadow_light as f32;
-        }
-        let is_shadow = hue < SHADOW_HUE && (deepest..1.0).contains(&light);
-        Some(Change { sigmas, is_shadow })
+        let known = (self.grey.level[i], self.grey.variance[i]);
+        Some(self.comparison().change(known, now, self.colours(frame, x, y)))
     }
 
     /// Colours of the background and of the frame at the cell of a pixel.

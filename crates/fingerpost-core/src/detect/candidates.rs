@@ -21,7 +21,7 @@ use super::band::{
 };
 use super::orientation::{
     ANGLES, BandTemplate, CAP_SAMPLES, HALF_WIDTH_CELLS, LEVEL_RATIO, Level, MEETS, Octave,
-    ScoreLevel,
+    ScoreLevel, SplitFrame,
 };
 use crate::appearance::background::{Background, ForegroundMap};
 use crate::geometry::template::Thumb;
@@ -58,8 +58,6 @@ impl Default for FinderOptions {
 
 /// Number of bands refined per level.
 const REFINED_CANDIDATES: usize = 48;
-/// Weight of the foreground's edges, such that they outweigh the texture of hand and background.
-const FOREGROUND_GAIN: f64 = 0.6;
 
 /// Detects candidates, frame by frame. Its buffers grow with the first frame of a size and are
 /// reused.
@@ -187,51 +185,18 @@ impl HandFinder {
 
     /// Splits the frame into channels, and halves them down to the octave of the coarsest level.
     fn split(&mut self, frame: &Frame<'_>, with_foreground: bool) {
-        let image = frame.image();
-        self.size = (image.width(), image.height());
+        self.size = (frame.image().width(), frame.image().height());
         let colours = if frame.colour().is_some() { 3 } else { 1 };
         self.channels = colours + usize::from(with_foreground);
-        if self.octaves.is_empty() {
-            self.octaves.push(Octave::default());
-        }
-        let full = &mut self.octaves[0];
-        (full.width, full.height) = self.size;
-        let pixels = full.width * full.height;
-        full.planes.clear();
-        full.planes.resize(self.channels * pixels, 0);
-        for (y, row) in (0..full.height).filter_map(|y| Some((y, image.row(y)?))) {
-            let at = y * full.width;
-            if let Some(row) = frame.colour().and_then(|colour| colour.row(y)) {
-                for (c, plane) in full.planes.chunks_exact_mut(pixels).take(colours).enumerate() {
-                    let levels = row.iter().skip(c).step_by(3);
-                    plane[at..at + full.width]
-                        .iter_mut()
-                        .zip(levels)
-                        .for_each(|(out, &g)| *out = g);
-                }
-            } else {
-                full.planes[at..at + full.width].copy_from_slice(row);
-            }
-            if with_foreground {
-                let map = &self.foreground;
-                let cells = &map.cells[y / map.step * map.width..];
-                let plane = &mut full.planes[colours * pixels + at..][..full.width];
-                for (out, &cell) in plane.chunks_mut(map.step).zip(cells) {
-                    out.fill((FOREGROUND_GAIN * f64::from(cell)) as u8);
-                }
-            }
-        }
         let side = self.size.0.max(self.size.1) as f64;
         let coarsest = self.options.max_half_width * side / HALF_WIDTH_CELLS;
-        let mut octave = 0;
-        while 2_f64.powi(octave as i32 + 1) <= coarsest {
-            octave += 1;
-            if self.octaves.len() == octave {
-                self.octaves.push(Octave::default());
-            }
-            let (before, after) = self.octaves.split_at_mut(octave);
-            after[0].halve(&before[octave - 1], self.channels);
-        }
+        let halvings = (1..32).take_while(|&k| 2_f64.powi(k) <= coarsest).count();
+        self.octaves.resize_with(halvings + 1, Octave::default);
+        Isa::detect().run(SplitFrame {
+            octaves: &mut self.octaves,
+            frame,
+            foreground: with_foreground.then_some(&self.foreground),
+        });
     }
 
     /// Searches bands of about one half-width.

@@ -6,6 +6,8 @@
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
 
+use crate::appearance::background::ForegroundMap;
+use crate::image::frame::Frame;
 use crate::numeric::simd::Work;
 use nalgebra::Vector2;
 use std::f64::consts::PI;
@@ -16,11 +18,12 @@ pub(super) struct BandTemplate {
     pub(super) angle_rad: f64,
     /// Round end: the cell and the orientation of its normal.
     cap: [((isize, isize), usize); CAP_SAMPLES],
-    /// First sample of either flank; the flanks' normals have one orientation.
+    /// First sample of either flank.
     flanks: [(isize, isize); 2],
+    /// The flanks' samples relative to the first, and the orientation of their normals: both the
+    /// same for the template of the opposite direction, whose flanks begin at the other end.
+    flank: [(isize, isize); FLANK_SAMPLES],
     flank_bin: usize,
-    /// Offset from the first sample to the second, from the first two to the next two, and so on.
-    doublings: [(isize, isize); FLANK_SAMPLES.ilog2() as usize],
 }
 
 /// Planes of bytes, one per channel.
@@ -49,7 +52,8 @@ pub(super) struct Level {
     rows: Vec<u8>,
     spread: Vec<u8>,
     responses: Vec<u8>,
-    flank: [Vec<u8>; 2],
+    /// Sums along the flank that begins at each cell.
+    flank: Vec<u8>,
     best: Vec<u8>,
     angle: Vec<u8>,
 }
@@ -140,21 +144,62 @@ impl BandTemplate {
         });
         let (near, far) = FLANK_HALF_WIDTHS;
         let step = (far - near) * w / (FLANK_SAMPLES - 1) as f64;
-        Self {
-            angle_rad,
-            cap,
-            flanks: [-1.0, 1.0].map(|side| cell(n * (side * w) - e * (w * (1.0 + near)))),
-            flank_bin: bin(angle_rad + PI / 2.0),
-            doublings: std::array::from_fn(|k| cell(e * (-step * f64::from(1 << k)))),
-        }
+        // Offsets of one, two and four samples, rounded, add up to those of all samples.
+        let flank = std::array::from_fn(|sample| {
+            let steps = (0..FLANK_SAMPLES.ilog2()).filter(|k| sample >> k & 1 == 1);
+            let offsets = steps.map(|k| cell(e * (-step * f64::from(1 << k))));
+            offsets.fold((0, 0), |(x, y), (dx, dy)| (x + dx, y + dy))
+        });
+        let is_opposite = angle_rad >= PI;
+        let (x, y) = if is_opposite { flank[FLANK_SAMPLES - 1] } else { (0, 0) };
+        let flanks = [-1.0, 1.0].map(|side| {
+            let (u, v) = cell(n * (side * w) - e * (w * (1.0 + near)));
+            (u + x, v + y)
+        });
+        let flank = if is_opposite { flank.map(|(u, v)| (-u, -v)) } else { flank };
+        Self { angle_rad, cap, flanks, flank, flank_bin: bin(angle_rad + PI / 2.0) }
     }
 }
 
 impl Octave {
+    /// Sets the planes to the channels of a frame, and to the foreground if it is given.
+    #[inline(always)]
+    fn split(&mut self, frame: &Frame<'_>, foreground: Option<&ForegroundMap>) {
+        let image = frame.image();
+        (self.width, self.height) = (image.width(), image.height());
+        let (width, pixels) = (self.width, self.width * self.height);
+        let colours = if frame.colour().is_some() { 3 } else { 1 };
+        self.planes.resize((colours + usize::from(foreground.is_some())) * pixels, 0);
+        let (shown, last) = self.planes.split_at_mut(colours * pixels);
+        if let Some(colour) = frame.colour() {
+            let (first, others) = shown.split_at_mut(pixels);
+            let (second, third) = others.split_at_mut(pixels);
+            let rows = first.chunks_exact_mut(width).zip(second.chunks_exact_mut(width));
+            for (y, ((a, b), c)) in rows.zip(third.chunks_exact_mut(width)).enumerate() {
+                let row = colour.row(y).unwrap_or_default().as_chunks::<3>().0;
+                for (((a, b), c), levels) in a.iter_mut().zip(b).zip(c).zip(row) {
+                    [*a, *b, *c] = *levels;
+                }
+            }
+        } else {
+            for (y, row) in shown.chunks_exact_mut(width).enumerate() {
+                row.copy_from_slice(image.row(y).unwrap_or_default());
+            }
+        }
+        let Some(map) = foreground else { return };
+        for (rows, cells) in last.chunks_mut(map.step * width).zip(map.cells.chunks(map.width)) {
+            let (row, others) = rows.split_at_mut(width);
+            for (out, &cell) in row.chunks_mut(map.step).zip(cells) {
+                out.fill((FOREGROUND_GAIN * f64::from(cell)) as u8);
+            }
+            others.chunks_mut(width).for_each(|other| other.copy_from_slice(row));
+        }
+    }
+
     /// Means of 2 × 2 pixels of another octave.
-    pub(super) fn halve(&mut self, from: &Self, channels: usize) {
+    #[inline(always)]
+    fn halve(&mut self, from: &Self, channels: usize) {
         (self.width, self.height) = ((from.width / 2).max(1), (from.height / 2).max(1));
-        self.planes.clear();
         self.planes.resize(channels * self.width * self.height, 0);
         let below = if from.height > 1 { from.width } else { 0 };
         let planes = self.planes.chunks_exact_mut(self.width * self.height);
@@ -175,6 +220,27 @@ impl Octave {
     }
 }
 
+/// Splits a frame into channels, and halves these from octave to octave.
+pub(super) struct SplitFrame<'a> {
+    pub(super) octaves: &'a mut [Octave],
+    pub(super) frame: &'a Frame<'a>,
+    pub(super) foreground: Option<&'a ForegroundMap>,
+}
+
+impl Work for SplitFrame<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let Some((full, halved)) = self.octaves.split_first_mut() else { return };
+        full.split(self.frame, self.foreground);
+        let channels = full.planes.len() / (full.width * full.height);
+        let mut before = full;
+        for octave in halved {
+            octave.halve(before, channels);
+            before = octave;
+        }
+    }
+}
+
 /// Scores every template at every cell of a level, of which one has `step` pixels of an octave.
 pub(super) struct ScoreLevel<'a> {
     pub(super) level: &'a mut Level,
@@ -190,8 +256,11 @@ impl Work for ScoreLevel<'_> {
     fn run(self) {
         self.level.sample(self.octave, self.channels, self.step);
         self.level.orient(self.channels, self.min_gradient_grey);
-        for (angle, template) in (0..).zip(self.templates) {
-            self.level.score(template, angle);
+        let (half_turn, opposite) = self.templates.split_at(self.templates.len() / 2);
+        for (k, template) in half_turn.iter().enumerate() {
+            self.level.sum_flank(template);
+            self.level.score(template, k as u8);
+            self.level.score(&opposite[k], (half_turn.len() + k) as u8);
         }
     }
 }
@@ -273,67 +342,60 @@ impl Level {
             plane.clear();
             plane.resize(cells, 0);
         }
-        for plane in &mut self.flank {
-            plane.clear();
-            plane.resize(cells, 0);
-        }
+        self.flank.resize(cells, 0);
     }
 
-    /// Scores the template at every cell, and keeps the best angle.
+    /// Offset of a sample in a plane.
+    fn shift(&self, (dx, dy): (isize, isize)) -> isize {
+        dy * self.stride as isize + dx
+    }
+
+    /// Sums the responses along a flank that begins at each cell, where all of it lies in the
+    /// plane.
+    #[inline(always)]
+    fn sum_flank(&mut self, template: &BandTemplate) {
+        let cells = self.best.len();
+        let shifts = template.flank.map(|sample| self.shift(sample));
+        let first = shifts.iter().fold(0, |first, &by| first.max(-by)) as usize;
+        let end = cells - shifts.iter().fold(0, |most, &by| most.max(by)) as usize;
+        let responses = &self.responses[template.flank_bin * cells..][..cells];
+        let samples = shifts.map(|by| &responses[(first as isize + by) as usize..]);
+        sum_samples(&samples, &mut self.flank[first..end]);
+    }
+
+    /// Scores the template at every cell, and keeps the best angle; of equal scores, that of the
+    /// first angle. Scores below [`LEAST_SCORE`] are incomplete.
     #[inline(always)]
     fn score(&mut self, template: &BandTemplate, angle: u8) {
-        let stride = self.stride as isize;
         let cells = self.best.len();
-        let shift = |(dx, dy): (isize, isize)| dy * stride + dx;
         // Within the reach of any sample from any cell of the image.
         let first = MARGIN * self.stride;
         let inner = first..cells - first;
-        let from = |plane: &[u8], by: isize| -> std::ops::Range<usize> {
-            let start = (inner.start as isize + by) as usize;
-            start..(start + inner.len()).min(plane.len())
-        };
-        let plane = |bin: usize| &self.responses[bin * cells..(bin + 1) * cells];
-
-        // The flank's samples lie on a straight line: sums of two, of four, of eight.
-        let [even, odd] = &mut self.flank;
-        let (mut sum, mut next) = (even, odd);
-        sum.copy_from_slice(plane(template.flank_bin));
-        for &step in &template.doublings {
-            let by = shift(step);
-            // Only where both ends of the line lie in the padded plane.
-            let (lo, hi) = ((-by).max(0) as usize, cells - by.max(0) as usize);
-            let behind = &sum[(lo as isize + by) as usize..(hi as isize + by) as usize];
-            for ((out, a), b) in next[lo..hi].iter_mut().zip(&sum[lo..hi]).zip(behind) {
-                *out = a.wrapping_add(*b);
-            }
-            next[..lo].fill(0);
-            next[hi..].fill(0);
-            std::mem::swap(&mut sum, &mut next);
-        }
-        let [left, right] = template.flanks.map(|flank| &sum[from(sum, shift(flank))]);
-        let caps = template.cap.map(|(offset, bin)| {
-            let responses = plane(bin);
-            &responses[from(responses, shift(offset))]
-        });
-        // Few enough cells at a time for their sums to stay in the processor's first cache.
-        let mut sums = [0_u8; 1024];
-        let best = self.best[inner.clone()].chunks_mut(sums.len());
-        let angles = self.angle[inner].chunks_mut(sums.len());
+        let from = |sample| (first as isize + self.shift(sample)) as usize;
+        let flanks = template.flanks.map(from);
+        let caps = template.cap.map(|(sample, bin)| bin * cells + from(sample));
+        let [left, right] = flanks.map(|start| &self.flank[start..]);
+        let caps = caps.map(|start| &self.responses[start..]);
+        let mut sums = [0_u8; AT_ONCE];
+        let best = self.best[inner.clone()].chunks_mut(AT_ONCE);
+        let angles = self.angle[inner].chunks_mut(AT_ONCE);
         for (k, (best, angles)) in best.zip(angles).enumerate() {
-            let at = k * sums.len();
-            let part =
-                |plane: &[u8]| -> std::ops::Range<usize> { at..(at + best.len()).min(plane.len()) };
-            let cap = &mut sums[..best.len()];
-            cap.fill(0);
-            for responses in caps {
-                for (sum, &response) in cap.iter_mut().zip(&responses[part(responses)]) {
-                    *sum = sum.wrapping_add(response);
-                }
+            let part = k * AT_ONCE..k * AT_ONCE + best.len();
+            let (left, right) = (&left[part.clone()], &right[part.clone()]);
+            let flanks = || left.iter().zip(right);
+            let may_win = flanks().zip(&*best).fold(false, |may_win, ((&l, &r), &best)| {
+                may_win | (score(l, r, MOST_SCORE) >= best.max(LEAST_SCORE))
+            });
+            if !may_win {
+                continue;
             }
-            let flanks = left[part(left)].iter().zip(&right[part(right)]);
-            for (((best, at), &c), (&l, &r)) in best.iter_mut().zip(angles).zip(&*cap).zip(flanks) {
-                let score = mean(l.min(r).min(c), mean(mean(l, r), c));
-                *at = if score > *best { angle } else { *at };
+            let cap = &mut sums[..best.len()];
+            sum_samples(&caps.map(|responses| &responses[part.start..]), cap);
+            for (((best, at), &c), (&l, &r)) in best.iter_mut().zip(angles).zip(&*cap).zip(flanks())
+            {
+                let score = score(l, r, c);
+                let is_first = score > *best || (score == *best && angle < *at);
+                *at = if is_first { angle } else { *at };
                 *best = (*best).max(score);
             }
         }
@@ -344,21 +406,39 @@ impl Level {
         const REACH: usize = 2;
         let at = move |x: usize, y: usize| (y + MARGIN) * self.stride + x + MARGIN;
         (0..self.height)
-            .flat_map(move |y| (0..self.width).map(move |x| (x, y)))
+            .flat_map(move |y| {
+                let row = self.best[at(0, y)..][..self.width].iter().enumerate();
+                row.filter(|(_, score)| **score >= LEAST_SCORE).map(move |(x, _)| (x, y))
+            })
             .filter(move |&(x, y)| {
                 let here = self.best[at(x, y)];
-                here >= LEAST_SCORE
-                    && (0..=2 * REACH).all(|dy| {
-                        let row = at(x, y) + dy * self.stride - REACH * self.stride - REACH;
-                        self.best[row..=row + 2 * REACH].iter().enumerate().all(|(dx, &other)| {
-                            // Of equal scores the first one is kept.
-                            let before = (dy, dx) < (REACH, REACH);
-                            other < here || (other == here && !before)
-                        })
+                (0..=2 * REACH).all(|dy| {
+                    let row = at(x, y) + dy * self.stride - REACH * self.stride - REACH;
+                    self.best[row..=row + 2 * REACH].iter().enumerate().all(|(dx, &other)| {
+                        // Of equal scores the first one is kept.
+                        let before = (dy, dx) < (REACH, REACH);
+                        other < here || (other == here && !before)
                     })
+                })
             })
             .map(move |(x, y)| (x, y, self.best[at(x, y)], self.angle[at(x, y)]))
     }
+}
+
+/// Sums of samples at successive cells.
+#[inline(always)]
+fn sum_samples(samples: &[&[u8]; 8], out: &mut [u8]) {
+    let [a, b, c, d, e, f, g, h] = samples.map(|sample| &sample[..out.len()]);
+    for (i, out) in out.iter_mut().enumerate() {
+        *out = (a[i].wrapping_add(b[i]).wrapping_add(c[i]).wrapping_add(d[i]))
+            .wrapping_add(e[i].wrapping_add(f[i]).wrapping_add(g[i]).wrapping_add(h[i]));
+    }
+}
+
+/// Score of a band by the sums of its left and right flank and of its round end.
+#[inline(always)]
+fn score(left: u8, right: u8, cap: u8) -> u8 {
+    mean(left.min(right).min(cap), mean(mean(left, right), cap))
 }
 
 /// Mean of two scores, rounded down; in bytes throughout.
@@ -368,6 +448,7 @@ fn mean(a: u8, b: u8) -> u8 {
 }
 
 /// Rounded mean of four levels.
+#[inline(always)]
 fn quarter(a: u8, b: u8, c: u8, d: u8) -> u8 {
     ((u16::from(a) + u16::from(b) + u16::from(c) + u16::from(d) + 2) / 4) as u8
 }
@@ -384,6 +465,9 @@ fn response(set: u8, own: u8, next: u8) -> u8 {
     if set & own == 0 { nearly } else { MEETS }
 }
 
+/// Weight of the foreground's edges, such that they outweigh the texture of hand and background.
+const FOREGROUND_GAIN: f64 = 0.6;
+
 /// Half a finger's width in cells of the level that searches it.
 pub(super) const HALF_WIDTH_CELLS: f64 = 2.5;
 
@@ -396,8 +480,7 @@ pub(super) const ANGLES: usize = 24;
 /// Number of orientation bins, over half a turn.
 pub(super) const BINS: usize = 8;
 
-/// Number of samples of the round end, and of either flank; a power of two for the flank's sums by
-/// doubling.
+/// Number of samples of the round end, and of either flank.
 pub(super) const CAP_SAMPLES: usize = 8;
 pub(super) const FLANK_SAMPLES: usize = 8;
 
@@ -414,5 +497,28 @@ pub(super) const NEARLY_MEETS: u8 = 19;
 /// Margin of a level, within the reach of the template \[cells\].
 pub(super) const MARGIN: usize = 12;
 
-/// Least score of a band; the greatest is 8 · 31 = 248.
+/// Least score of a band, and the greatest.
 pub(super) const LEAST_SCORE: u8 = 144;
+const MOST_SCORE: u8 = FLANK_SAMPLES as u8 * MEETS;
+
+/// Cells scored at once, or skipped if none of them can reach a score.
+const AT_ONCE: usize = 128;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The scores of opposite directions use the same sums.
+    #[test]
+    fn templates_of_opposite_directions_share_their_flank() {
+        for k in 0..ANGLES / 2 {
+            let angle_rad = k as f64 / ANGLES as f64 * 2.0 * PI;
+            let (one, mut other) =
+                (BandTemplate::new(angle_rad), BandTemplate::new(angle_rad + PI));
+            let mut flank = one.flank;
+            flank.sort_unstable();
+            other.flank.sort_unstable();
+            assert_eq!((flank, one.flank_bin), (other.flank, other.flank_bin));
+        }
+    }
+}
