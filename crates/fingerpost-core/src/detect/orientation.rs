@@ -101,10 +101,11 @@ impl Gradients {
         {
             let (u, v) = (s2 - s0, d0 + 2 * d1 + d2);
             let strength = i32::from(u) * i32::from(u) + i32::from(v) * i32::from(v);
-            let is_stronger = strength > *best;
-            *best_u = if is_stronger { u } else { *best_u };
-            *best_v = if is_stronger { v } else { *best_v };
-            *best = if is_stronger { strength } else { *best };
+            // By masks of all bits or none: compilers make a branch of a choice, and no vectors.
+            let stronger = -i16::from(strength > *best);
+            *best_u ^= (*best_u ^ u) & stronger;
+            *best_v ^= (*best_v ^ v) & stronger;
+            *best = (*best).max(strength);
         }
     }
 
