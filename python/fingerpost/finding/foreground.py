@@ -44,9 +44,10 @@ MIN_FOREGROUND = 0.5
 
 
 GRID = 40, 30
+GRID_CELLS = np.indices(GRID).reshape(2, -1).T + 0.5
 MIN_FOREGROUND_PLACES = 2
-"""Size of a grid over the image (columns, rows), and least number of its points in the foreground
-for which a hand may have come: the smallest hand with its arm covers more."""
+"""Size of a grid over the image (columns, rows), the middles of its cells, and least number of them
+in the foreground for which a hand may have come: the smallest hand with its arm covers more."""
 
 
 def any_foreground(background: Background, frame: Frame) -> bool:
@@ -54,7 +55,7 @@ def any_foreground(background: Background, frame: Frame) -> bool:
     if not background.is_known:
         return True
     size_px = np.array(frame.image.shape[1::-1])
-    places = (np.indices(GRID).reshape(2, -1).T + 0.5) * (size_px / GRID)
+    places = GRID_CELLS * (size_px / GRID)
     likely = background.foreground(frame.grey(), places, colour=frame.colour())
     return int((likely >= MIN_FOREGROUND).sum()) >= MIN_FOREGROUND_PLACES
 
@@ -73,10 +74,14 @@ def is_background(background: Background, frame: Frame, line: FingerLine) -> boo
     return foreground_part(background, frame, line) < MAX_BACKGROUND_PART
 
 
+ALONG_FINGER = np.linspace(0.2, 1.2, 11)[:, None]
+"""Sample positions from the tip to beyond the anchor, as a part of their distance."""
+
+
 def foreground_part(background: Background, frame: Frame, line: FingerLine) -> float:
     """Return the mean foreground probability along a finger; NaN where mostly unknown."""
     tip, anchor = np.array(line.tip_px), np.array(line.anchor_px)
-    inside = tip + np.linspace(0.2, 1.2, 11)[:, None] * (anchor - tip)
+    inside = tip + ALONG_FINGER * (anchor - tip)
     return _likely(background, frame, inside)
 
 

@@ -7,10 +7,11 @@ ahead of its tip, and the viewing rays through the tip meet in one point above t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fingerpost.finding.finger import Array, FingerDetection
 from fingerpost.pointing import PlaneView
@@ -128,7 +129,8 @@ def pair_scores(
         Product of the two scores and of the likelihoods of their tips, widths, colours, length and
         foreground; 0 for a pair that cannot be one finger above the plane that points at it.
     """
-    first, second = _on_plane(views, fingers)
+    one, other = _on_plane(views, fingers)
+    first, second = one.along(1), other.along(0)
     point, angle = _meeting(first.line, second.line)
     possible = angle > MIN_MEETING_ANGLE_RAD
     for view, finger in zip(
@@ -137,17 +139,25 @@ def pair_scores(
         ahead = ((_projected(view, point) - finger.tip_px) * finger.direction).sum(axis=-1)
         possible &= ahead > -TIP_SLACK * finger.half_width_px
     flat = angle < FLAT_ANGLE_RAD
-    for one, other in ((first, second), (second, first)):
-        flat &= _offset(one.line, other.foot) < FLAT_OFFSET * other.width
+    for here, there in ((first, second), (second, first)):
+        flat &= _offset(here.line, there.foot) < FLAT_OFFSET * there.width
     plane = views[0].plane_view
     away = np.linalg.norm(point - plane.plane_points.mean(axis=0), axis=-1) / plane.plane_size
+    # Most pairs are excluded by now.
+    left = np.nonzero(possible & (away < MAX_TARGET_DISTANCE) & ~flat)
+    scores = np.zeros(possible.shape)
+    scores[left] = _scores(one.taken(left[0]), other.taken(left[1]), point[left], plane.plane_size)
+    return scores
+
+
+def _scores(first: _OnPlane, second: _OnPlane, point: Array, plane_size: float) -> Array:
+    """Score pairs of fingers whose lines meet at a point (N, 2); 0 if their tips are not one."""
     tips = _Tips.of(first, second)
     score = first.score * second.score * _appearance_agreement(first, second, tips)
     score *= np.exp(-0.5 * np.square(tips.reach(point) / REACH_SPREAD))
-    same = tips.same(plane.plane_size)
-    possible &= same >= MIN_SAME_TIP
+    same = tips.same(plane_size)
     score *= same**TIP_POWER * _length_likelihood(first, second)
-    return np.asarray(np.where(possible & (away < MAX_TARGET_DISTANCE) & ~flat, score, 0.0))
+    return np.asarray(np.where(same >= MIN_SAME_TIP, score, 0.0))
 
 
 FOOT_SPREAD = 3.0
@@ -175,8 +185,14 @@ class _OnPlane:
 
     def along(self, axis: int) -> _OnPlane:
         """Return a copy with an axis of length one for the other view's fingers."""
-        entries = (getattr(self, name) for name in self.__slots__)
-        return _OnPlane(*(np.expand_dims(entry, axis) for entry in entries))
+        return self._each(lambda entries: np.expand_dims(entries, axis))
+
+    def taken(self, rows: NDArray[np.intp]) -> _OnPlane:
+        """Return the fingers of these indices."""
+        return self._each(lambda entries: entries[rows])
+
+    def _each(self, change: Callable[[Array], Array]) -> _OnPlane:
+        return _OnPlane(*(change(getattr(self, name)) for name in self.__slots__))
 
     @classmethod
     def of(cls, viewpoint: Viewpoint, fingers: Sequence[FingerDetection]) -> _OnPlane:
@@ -203,7 +219,7 @@ class _OnPlane:
         x, y, height = viewpoint.centre
         # The plane through the line and the camera.
         normal = np.column_stack([line[:, :2], -(line @ [x, y, 1.0]) / height])
-        ray = viewpoint.centre - np.pad(foot, ((0, 0), (0, 1)))
+        ray = viewpoint.centre - _in_space(foot)
         return cls(
             tip_px=tip,
             direction=direction,
@@ -225,9 +241,9 @@ def _on_plane(
     views: tuple[Viewpoint, Viewpoint],
     fingers: tuple[Sequence[FingerDetection], Sequence[FingerDetection]],
 ) -> tuple[_OnPlane, _OnPlane]:
-    """Transfer two views' fingers to the plane: the first's are rows, the second's columns."""
+    """Transfer two views' fingers to the plane."""
     first, second = (_OnPlane.of(view, seen) for view, seen in zip(views, fingers, strict=True))
-    return first.along(1), second.along(0)
+    return first, second
 
 
 WIDTH_SPREAD = 0.5
@@ -325,7 +341,7 @@ class _Tips:
         components = (np.moveaxis(x, -1, 0) for x in (p, q, between))
         s, t = _nearest(*(tuple(x) for x in components))
         nearest = s[..., None] * p, between + t[..., None] * q
-        foot = np.pad(first.foot, ((0, 0), (0, 0), (0, 1)))
+        foot = _in_space(first.foot)
         return cls(
             places=foot + 0.5 * (nearest[0] + nearest[1]),
             misses=np.linalg.norm(nearest[1] - nearest[0], axis=-1),
@@ -339,7 +355,7 @@ class _Tips:
 
     def reach(self, point: Array) -> Array:
         """Return the distance of points of the plane from the tips [half-widths]; 0 if unknown."""
-        away = np.linalg.norm(self.places - np.pad(point, ((0, 0), (0, 0), (0, 1))), axis=-1)
+        away = np.linalg.norm(self.places - _in_space(point), axis=-1)
         return np.asarray(np.nan_to_num(away / np.sqrt(self.widths[0] * self.widths[1])))
 
 
@@ -379,10 +395,8 @@ def reaches_farther(
         return False
     first, second = _on_plane(views, ((one[0], other[0]), (one[1], other[1])))
     tips, (point, _) = _Tips.of(first, second), _meeting(first.line, second.line)
-    both = [0, 1], [0, 1]
-    place = tips.places[both]
-    widths = np.array([width[both] for width in tips.widths])
-    ahead = np.pad(point[both], ((0, 0), (0, 1))) - place
+    place, widths = tips.places, np.array(tips.widths)
+    ahead = _in_space(point) - place
     return _is_farther(place, ahead, float(np.exp(np.log(widths).mean())))
 
 
@@ -597,6 +611,11 @@ def _nearest(
 def _positive(widths: Array) -> Array:
     """Return absolute widths; NaN in place of 0."""
     return np.abs(np.where(widths == 0.0, np.nan, widths))
+
+
+def _in_space(points: Array) -> Array:
+    """Return points of the plane with their height, 0."""
+    return np.concatenate([points, np.zeros_like(points[..., :1])], axis=-1)
 
 
 def _homogeneous(points: Array) -> Array:

@@ -95,6 +95,14 @@ HAND_RANGE_HALF_WIDTHS = (4.5, 13.0)
 """Range behind the tip in which a finger may widen to its hand [half-widths]; the near end is for
 a foreshortened one."""
 
+BEHIND = -np.linspace(*HAND_RANGE_HALF_WIDTHS, 12)
+BEHIND_ACROSS = [np.linspace(*across, 4) for across in ((-0.6, 0.6), (-3.2, -1.7), (1.7, 3.2))]
+"""Sample positions there, along the axis, and across it: behind the finger, and beside its flanks
+[half-widths]."""
+
+INSIDE_ALONG, INSIDE_ACROSS = -np.linspace(1.0, 4.0, 12), np.linspace(-0.5, 0.5, 5)
+"""Sample positions inside a finger [half-widths]."""
+
 MIN_INSIDE_PIXELS = 20
 """Least number of pixels from which a finger's colour is measured."""
 
@@ -125,10 +133,9 @@ def widening(frame: Frame, line: FingerLine, half_width_px: float) -> float:
         return 0.0
     channels = inside.shape[1]
     covariance = np.atleast_2d(np.cov(inside, rowvar=False)) + NOISE_GREY**2 * np.eye(channels)
-    rows = -np.linspace(*HAND_RANGE_HALF_WIDTHS, 12)
     parts = []
-    for across in ((-0.6, 0.6), (-3.2, -1.7), (1.7, 3.2)):
-        differs = _levels(*finger, rows, np.linspace(*across, 4)) - inside.mean(axis=0)
+    for across in BEHIND_ACROSS:
+        differs = _levels(*finger, BEHIND, across) - inside.mean(axis=0)
         square = (differs @ np.linalg.inv(covariance) * differs).sum(axis=-1)
         # A comparison with NaN, outside the image, is False.
         part = (square < MAX_COLOUR_DISTANCE_SQUARED[channels]).mean(axis=1)
@@ -139,9 +146,7 @@ def widening(frame: Frame, line: FingerLine, half_width_px: float) -> float:
 
 def inside_levels(frame: Frame, line: FingerLine, half_width_px: float) -> Array | None:
     """Return the levels (N, channels) of a finger's inside; None below `MIN_INSIDE_PIXELS`."""
-    inside = _levels(
-        frame, line, half_width_px, -np.linspace(1.0, 4.0, 12), np.linspace(-0.5, 0.5, 5)
-    )
+    inside = _levels(frame, line, half_width_px, INSIDE_ALONG, INSIDE_ACROSS)
     inside = inside.reshape(-1, inside.shape[2])
     inside = inside[np.isfinite(inside).all(axis=1)]
     return None if len(inside) < MIN_INSIDE_PIXELS else inside
@@ -205,14 +210,15 @@ def _variance(levels: Array) -> float:
     return float((fall * np.square(at - mean)).sum() / fall.sum())
 
 
+STRIPE_ALONG = -np.linspace(1.2, 4.0, 5)
 STRIPE_REACH = np.arange(0.0, 6.01, 0.4)
 CORE, NEIGHBOUR = STRIPE_REACH < 0.6, (STRIPE_REACH > 1.2) & (STRIPE_REACH < 3.0)
 BESIDE, BEYOND = (
     (STRIPE_REACH > 1.4) & (STRIPE_REACH < 2.2),
     (STRIPE_REACH > 1.8) & (STRIPE_REACH < 3.4),
 )
-"""Sample positions from a band's axis to either side [half-widths]: of its inside, of the
-neighbourhood in which its contrast is measured, of what is directly beside it, and of where a
+"""Sample positions along a band, and from its axis to either side [half-widths]: of its inside, of
+the neighbourhood in which its contrast is measured, of what is directly beside it, and of where a
 stripe of its own width beside it ends."""
 
 MAX_RETURN = 0.3
@@ -245,9 +251,8 @@ def is_stripe(frame: Frame, line: FingerLine, half_width_px: float) -> bool:
     bool
         False as well where the band does not stand out, or the image ends on one side.
     """
-    rows = -np.linspace(1.2, 4.0, 5)
     sides = [
-        _levels(frame, line, half_width_px, rows, side * STRIPE_REACH).mean(axis=0)
+        _levels(frame, line, half_width_px, STRIPE_ALONG, side * STRIPE_REACH).mean(axis=0)
         for side in (1.0, -1.0)
     ]
     inside = np.mean([side[CORE].mean(axis=0) for side in sides], axis=0)

@@ -88,6 +88,8 @@ def _start_trials(
     i, j = pair
     candidates_i, seen_i = _candidates(views[i], frames[i])
     candidates_j, seen_j = _candidates(views[j], frames[j])
+    if not (seen_i and seen_j):
+        return
     scores = pair_scores((views[i].viewpoint, views[j].viewpoint), (seen_i, seen_j))
     priorities = scores * _priorities(seen_i)[:, None] * _priorities(seen_j)
     started = 0
@@ -214,6 +216,8 @@ def _possible_pairs(views: Sequence[SearchingView]) -> list[TriedPair]:
         if not (views[i].is_searching or views[j].is_searching):
             continue
         (tried_i, seen_i), (tried_j, seen_j) = _tried(views[i]), _tried(views[j])
+        if not (seen_i and seen_j):
+            continue
         scores = pair_scores((views[i].viewpoint, views[j].viewpoint), (seen_i, seen_j))
         for a, b in _best_first(scores):
             both = ((i, tried_i[a]), (j, tried_j[b]))
