@@ -297,6 +297,12 @@ def _apply(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[
     return np.asarray(y[..., :2] / y[..., 2:])
 
 
+def kronecker_product(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the Kronecker product of two small matrices; NumPy's takes several times as long."""
+    blocks = one[:, None, :, None] * other[None, :, None, :]
+    return blocks.reshape(len(one) * len(other), -1)
+
+
 def _in_front(y: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(y[..., :2] / np.where(y[..., 2:] > 0.0, y[..., 2:], np.nan))
 

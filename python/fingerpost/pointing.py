@@ -27,6 +27,7 @@ from fingerpost.errors import DegenerateReferencePointsError, InvalidInputError
 from fingerpost.homography import (
     estimate_image_from_plane,
     inverse,
+    kronecker_product,
     transfer_by_inverse,
     transfer_jacobian_by_point,
     transfer_to_image,
@@ -343,8 +344,8 @@ class PlaneView:
         in_front = T[2] @ [*self.plane_points.mean(axis=0), 1.0]
         if in_front <= 0.0:
             raise InvalidInputError("now_from_before puts the reference points behind the camera")
-        by_view = np.kron(H, np.eye(3)) / in_front
-        by_motion = np.kron(np.eye(3), self.image_from_plane.T) / in_front
+        by_view = kronecker_product(H, np.eye(3)) / in_front
+        by_motion = kronecker_product(np.eye(3), self.image_from_plane.T) / in_front
         Σ_T = by_view @ self.entries_covariance @ by_view.T + by_motion @ Σ_H @ by_motion.T
         return PlaneView(self.plane_points, T / in_front, Σ_T, self.lens)
 

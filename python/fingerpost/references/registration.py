@@ -19,7 +19,11 @@ from numpy.typing import NDArray
 
 from fingerpost._core import PlaneLevel, RegisteredPlane
 from fingerpost._core import PlaneRegistration as CoreRegistration
-from fingerpost.homography import transfer_jacobian_by_entries, transfer_to_image
+from fingerpost.homography import (
+    kronecker_product,
+    transfer_jacobian_by_entries,
+    transfer_to_image,
+)
 from fingerpost.lens import Lens
 
 Picture = NDArray[np.uint8]
@@ -115,8 +119,8 @@ class PlaneMotion:
         scaled_from_px
             (3, 3) Transform from present pixels to those of the other size.
         """
-        px_from_scaled = np.linalg.inv(scaled_from_px)
-        by_entries = np.kron(scaled_from_px, px_from_scaled.T)
+        px_from_scaled = np.asarray(np.linalg.inv(scaled_from_px), np.float64)
+        by_entries = kronecker_product(scaled_from_px, px_from_scaled.T)
         now_from_first = scaled_from_px @ self.now_from_first @ px_from_scaled
         return PlaneMotion(now_from_first, by_entries @ self.covariance @ by_entries.T)
 
@@ -226,7 +230,8 @@ class PlaneRegistration:
             return None
         now_from_first = registered.now_from_first
         # Each entry of the step is one of a product: now_from_first · N⁻¹ · step · N.
-        by_step = np.kron(now_from_first @ self._px_from_unit, self._unit_from_px.T)[:, :8]
+        now_from_unit = now_from_first @ self._px_from_unit
+        by_step = kronecker_product(now_from_unit, self._unit_from_px.T)[:, :8]
         motion = PlaneMotion(now_from_first, by_step @ registered.step_covariance @ by_step.T)
         return motion if self._sigma_px(motion) < MAX_SIGMA_PX else None
 

@@ -399,24 +399,32 @@ class _Watch:
         px = px if self._lens is None else self._lens.distort(px)
         return np.asarray((px + 0.5) / self._whole_px - 0.5, np.float32)
 
-    def _sorted_into_cells(self) -> list[NDArray[np.intp]]:
-        """Return the indices of each cell's corners, reference points excluded."""
+    def _sorted_into_cells(self) -> NDArray[np.intp]:
+        """Return the indices of each cell's corners (C, N), without references; or -1."""
         cell = _cell_of(self._corners_px, self._first.shape)
         cell[: self._references] = -1
-        return [np.flatnonzero(cell == c) for c in range(CELLS[0] * CELLS[1])]
+        corners = [np.flatnonzero(cell == c) for c in range(CELLS[0] * CELLS[1])]
+        cells = np.full((len(corners), MAX_CORNERS_PER_CELL), -1, np.intp)
+        for row, indices in zip(cells, corners, strict=True):
+            row[: len(indices)] = indices
+        return cells
 
     def _samples(self, here_px: _Points, is_sure: NDArray[np.bool_]) -> tuple[_Points, _Points]:
         """Return first and present positions (M, 2) of reference points, and of one corner a cell.
 
         A cell with at least `MIN_CORNERS` gives the corner nearest to its median motion.
         """
-        chosen = list(np.flatnonzero(is_sure[: self._references]))
-        for corners in self._cells:
-            corners = corners[is_sure[corners]]
-            if len(corners) >= MIN_CORNERS:
-                moved_px = here_px[corners] - self._corners_px[corners]
-                off_px = np.linalg.norm(moved_px - np.median(moved_px, axis=0), axis=1)
-                chosen.append(corners[np.argmin(off_px)])
+        counts = np.append(is_sure, False)[self._cells]
+        moved_px = np.full((*counts.shape, 2), np.inf, np.float32)
+        moved_px[counts] = (here_px - self._corners_px)[self._cells[counts]]
+        number = counts.sum(axis=1)
+        sufficient = np.flatnonzero(number >= MIN_CORNERS)
+        moved_px, number = moved_px[sufficient], number[sufficient]
+        ordered_px, rows = np.sort(moved_px, axis=1), np.arange(len(sufficient))
+        low_px, high_px = ordered_px[rows, (number - 1) // 2], ordered_px[rows, number // 2]
+        off_px = np.linalg.norm(moved_px - ((low_px + high_px) / 2)[:, None], axis=2)
+        nearest = self._cells[sufficient, np.argmin(off_px, axis=1)]
+        chosen = np.concatenate([np.flatnonzero(is_sure[: self._references]), nearest])
         return self._corners_px[chosen], here_px[chosen]
 
 
