@@ -7,7 +7,9 @@ A change that must not alter results keeps every hash. A hash covers all numbers
 17 digits: fixes, finger lines, shape vectors, contours, diagnostics, camera motion; messages are
 left out. Bits are reproducible only by one build on one kind of processor with the same NumPy and
 OpenCV, whose kernels round differently; so the points are stored too, for comparison where one of
-these differs.
+these differs. A processor with AVX-512 gives the recorded bits if its libraries do without:
+
+    OPENCV_CPU_DISABLE=AVX512-SKX OPENBLAS_CORETYPE=Haswell python tests/golden/generate_tracks.py
 """
 
 from __future__ import annotations
