@@ -642,7 +642,7 @@ def test_a_camera_of_a_low_rate_is_not_overdue():
     device = HandFedDevice()
     device.feed(1)
     with live(device) as source:
-        assert source.due_in_s == math.inf
+        assert source.due_in_s <= 1.0  # while the rate is unknown, others do not wait longer
         source._periods_s.extend([200.0, 200.0, 0.01, 200.0])
         assert source.overdue() is None
         assert 300.0 < source.due_in_s <= 400.0

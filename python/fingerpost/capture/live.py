@@ -48,6 +48,8 @@ _ENDED_S = 0.5
 _OVERDUE_S, _OVERDUE_PERIODS = 0.1, 2.0
 """A frame is overdue after the longer of both [s, periods]: finger lines are not interpolated over
 more (`PointingOptions.max_gap_s`), and a camera of a lower rate is not late."""
+_FIRST_OVERDUE_S = 1.0
+"""The same while the rate is unknown: a view that dies at once does not hold the others up."""
 FRESH_S = 0.01
 """Age up to which a waiting frame counts as fresh [s]."""
 _KNOWN_PERIODS, _LATEST_PERIODS = 3, 9
@@ -256,8 +258,11 @@ class LiveSource(Source):
 
     @property
     def due_in_s(self) -> float:
-        """Time until the next frame is overdue [s]; infinite if the rate is unknown."""
-        return max(_OVERDUE_S, _OVERDUE_PERIODS * self.period_s) - self.silent_s
+        """Time until the next frame is overdue [s]."""
+        period_s = self.period_s
+        if math.isinf(period_s):
+            return _FIRST_OVERDUE_S - self.silent_s
+        return max(_OVERDUE_S, _OVERDUE_PERIODS * period_s) - self.silent_s
 
     @property
     def period_s(self) -> float:

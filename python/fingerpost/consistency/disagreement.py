@@ -10,6 +10,8 @@ not separate the rays; texture may show it (`scenery`).
 from __future__ import annotations
 
 import math
+import statistics
+from collections import deque
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -17,19 +19,20 @@ from fingerpost.finding import Viewpoint, tips_distance
 from fingerpost.pointing import FingerLine
 
 EXPECTED = 0.02
-"""Root mean square distance of the rays through the tips of right rigs [plane sizes], at most. In
-rendered films it is 0.005, in real footage of a hand that moves by 10 px per frame 0.02. Reference
-points that are off by 10 px give 0.03, by 45 px 0.05 to 0.25, and a lag of 5 frames 0.03."""
+"""Distance of the rays through the tips of right rigs [plane sizes], at most. In rendered films it
+is 0.005, in real footage of a hand that moves by 10 px per frame 0.02. Reference points that are
+off by 10 px give 0.03, by 45 px 0.05 to 0.25, and a lag of 5 frames 0.03."""
 
-RATE = 0.1
-"""Weight of a frame in the running mean square of the distance."""
+FRAMES = 15
+"""Number of frames whose median distance counts: while a view goes over from one hand to another,
+single distances are as great as the hands are apart."""
 
 
 class Disagreement:
-    """Running mean square distances of the rays through the tips of all pairs of views."""
+    """Latest distances of the rays through the tips of all pairs of views."""
 
     def __init__(self) -> None:
-        self._squares: dict[tuple[int, int], float] = {}
+        self._distances: dict[tuple[int, int], deque[float]] = {}
 
     def update(
         self, viewpoints: Sequence[Viewpoint], lines: Sequence[FingerLine | object]
@@ -57,8 +60,9 @@ class Disagreement:
             distance = tips_distance(views, (first, second)) / views[0].plane_view.plane_size
             if not math.isfinite(distance):
                 continue
-            before = self._squares.get(pair, distance**2)
-            square = self._squares[pair] = before + RATE * (distance**2 - before)
+            latest = self._distances.setdefault(pair, deque(maxlen=FRAMES))
+            latest.append(distance)
+            square = statistics.median(latest) ** 2
             for k in pair:
                 # The rays show one of the two components of a displacement.
                 least[k] = min(least.get(k, math.inf), 2.0 * (square - EXPECTED**2))
