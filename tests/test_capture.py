@@ -6,7 +6,6 @@ The number of each frame is painted into it as bars, so a frame can be identifie
 import errno
 import http.server
 import logging
-import math
 import os
 import struct
 import subprocess
