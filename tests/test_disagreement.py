@@ -5,7 +5,7 @@ import pytest
 from geometry_rig import CORNERS, finger_line, plane_view, seen_rod, stereo
 
 from fingerpost.consistency import Disagreement
-from fingerpost.finding import Viewpoint
+from fingerpost.finding import Viewpoint, rays_of_tips
 from fingerpost.pointing import BARE_HAND, PlaneView, Status, indicated_point
 
 LINE_COVARIANCE = np.diag([0.2**2, 0.003**2])
@@ -13,6 +13,13 @@ LINE_COVARIANCE = np.diag([0.2**2, 0.003**2])
 
 def points_px(camera):
     return camera.project(np.column_stack([CORNERS, np.zeros(4)]))
+
+
+def displacements_of(disagreement, viewpoints, lines):
+    """Displacements by the disagreement of lines [plane units]."""
+    distances = {pair: tips.distance for pair, tips in rays_of_tips(viewpoints, lines).items()}
+    size = viewpoints[0].plane_view.plane_size
+    return {k: size * sigma for k, sigma in disagreement.update(distances).items()}
 
 
 def share_outside(shift_px, *, widens, count=40):
@@ -32,7 +39,7 @@ def share_outside(shift_px, *, widens, count=40):
         viewpoints = [Viewpoint.of(view, (640, 480)) for view in views]
         pose = seen_rod(rng, cameras)
         lines = [finger_line(camera, pose, LINE_COVARIANCE) for camera in cameras]
-        displacements = Disagreement().update(viewpoints, lines) if widens else {}
+        displacements = displacements_of(Disagreement(), viewpoints, lines) if widens else {}
         fix = indicated_point(
             lines, views, time_s=0.0, options=BARE_HAND, displacements=displacements
         )
@@ -61,4 +68,4 @@ def test_views_that_agree_have_no_displacement():
         lines = [
             finger_line(camera, pose, noise=one) for camera, one in zip(cameras, noise, strict=True)
         ]
-        assert disagreement.update(viewpoints, lines) == {}
+        assert displacements_of(disagreement, viewpoints, lines) == {}

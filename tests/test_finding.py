@@ -36,6 +36,7 @@ from fingerpost.finding import (
     measured_line,
     other_fingers,
     pair_scores,
+    rays_of_tips,
     width_ratio,
 )
 from fingerpost.finding.finger import (
@@ -1220,10 +1221,10 @@ def test_a_view_whose_fingertip_agrees_with_no_other_view_is_returned(tips_mm, o
         Status.LOST if tip_mm is None else line_to(tip_mm, camera)
         for tip_mm, camera in zip(tips_mm, rig.cameras, strict=True)
     ]
-    assert other_fingers(views, lines) == others
+    assert other_fingers(rays_of_tips(views, lines)) == others
     # Without camera centres, tips cannot be compared.
     nowhere = [dataclasses.replace(view, centre=np.full(3, np.nan)) for view in views]
-    assert other_fingers(nowhere, lines) == []
+    assert other_fingers(rays_of_tips(nowhere, lines)) == []
 
 
 def test_the_average_half_width_is_that_of_the_standard_template():

@@ -57,6 +57,7 @@ from fingerpost.finding import (
     flatness_of_followed,
     measured_line,
     other_fingers,
+    rays_of_tips,
 )
 from fingerpost.locating import ReferenceSearch, meter_of, stand_in
 from fingerpost.operators import Operator
@@ -838,12 +839,19 @@ class Pointer:
             history.plane_view_at(pending.time_s, view.plane_view)
             for history, view in zip(self._histories, self.views, strict=True)
         ]
-        for k in other_fingers([view.viewpoint for view in self.views], lines):
+        rays = rays_of_tips([view.viewpoint for view in self.views], lines)
+        for k in other_fingers(rays):
             lines[k] = _NoLine(Status.ILL_CONDITIONED, ANOTHER_FINGER)
         for k, lag in enumerate(self._monitor.lags):
             if lag is not None and isinstance(lines[k], FingerLine):
                 lines[k] = _NoLine(Status.ILL_CONDITIONED, lag.why)
-        displacements = self._disagreement.update([view.viewpoint for view in self.views], lines)
+        displacements = self._disagreement.update(
+            {
+                pair: tips.distance
+                for pair, tips in rays.items()
+                if all(isinstance(lines[k], FingerLine) for k in pair)
+            }
+        )
         fingers = [finger.status if isinstance(finger, _NoLine) else finger for finger in lines]
         fix = indicated_point(
             fingers,
@@ -852,7 +860,7 @@ class Pointer:
             options=self._options,
             names=[f'view "{view.name}"' for view in self.views],
             absences=_absences(lines, pending.observations),
-            displacements=displacements,
+            displacements={k: σ * plane_views[k].plane_size for k, σ in displacements.items()},
         )
         fix = self._in_doubt(fix, plane_views)
         if self._operator is not None:

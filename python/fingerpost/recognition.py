@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.formats import SIZES_MM, corners_of
-from fingerpost.references import LEAST_LIKENESS, MarkersMeter, likeness
+from fingerpost.references import LEAST_LIKENESS, MarkersMeter, likeness_in_either_order
 
 Picture = NDArray[np.uint8]
 
@@ -45,7 +45,10 @@ def likelier_size(
         Shape of each view's picture.
     """
     fits = {
-        name: sum(map(_log_likeness, quads, [sides] * len(quads), shapes))
+        name: sum(
+            math.log(max(likeness_in_either_order(quad, sides, shape), LEAST_LIKENESS))
+            for quad, shape in zip(quads, shapes, strict=True)
+        )
         for name, sides in SIZES_MM.items()
     }
     assumed, best = fits[size.lower()], max(fits.values())
@@ -55,11 +58,3 @@ def likelier_size(
         if fit > assumed + CLEARLY_LIKELIER and fit > best - CLEARLY_LIKELIER
     )
     return next(preferred, None)
-
-
-def _log_likeness(
-    quad: NDArray[np.float64], sides: tuple[float, float], shape: tuple[int, ...]
-) -> float:
-    """Return the log-likelihood for the better order of the sides."""
-    best = max(likeness(quad, ordered, shape) for ordered in (sides, sides[::-1]))
-    return math.log(max(best, LEAST_LIKENESS))

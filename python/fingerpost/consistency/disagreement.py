@@ -12,11 +12,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections import deque
-from collections.abc import Sequence
-from itertools import combinations
-
-from fingerpost.finding import Viewpoint, tips_distance
-from fingerpost.pointing import FingerLine
+from collections.abc import Mapping
 
 EXPECTED = 0.02
 """Distance of the rays through the tips of right rigs [plane sizes], at most. In rendered films it
@@ -34,30 +30,21 @@ class Disagreement:
     def __init__(self) -> None:
         self._distances: dict[tuple[int, int], deque[float]] = {}
 
-    def update(
-        self, viewpoints: Sequence[Viewpoint], lines: Sequence[FingerLine | object]
-    ) -> dict[int, float]:
-        """Take the finger lines of a time; return displacements by index of the view.
+    def update(self, distances: Mapping[tuple[int, int], float]) -> dict[int, float]:
+        """Take the distances of a time; return displacements by index of the view.
 
         Parameters
         ----------
-        viewpoints
-            Camera centres and homographies of the views.
-        lines
-            The finger line of each; any other object for a view without one.
+        distances
+            Distance of the rays of every two views that have a line [plane sizes]; NaN if unknown.
 
         Returns
         -------
         dict
-            Standard deviation [plane units], of the views that disagree with all others.
+            Standard deviation [plane sizes], of the views that disagree with all others.
         """
         least: dict[int, float] = {}
-        for pair in combinations(range(len(lines)), 2):
-            first, second = (lines[k] for k in pair)
-            if not (isinstance(first, FingerLine) and isinstance(second, FingerLine)):
-                continue
-            views = viewpoints[pair[0]], viewpoints[pair[1]]
-            distance = tips_distance(views, (first, second)) / views[0].plane_view.plane_size
+        for pair, distance in distances.items():
             if not math.isfinite(distance):
                 continue
             latest = self._distances.setdefault(pair, deque(maxlen=FRAMES))
@@ -66,8 +53,4 @@ class Disagreement:
             for k in pair:
                 # The rays show one of the two components of a displacement.
                 least[k] = min(least.get(k, math.inf), 2.0 * (square - EXPECTED**2))
-        return {
-            k: math.sqrt(square) * viewpoints[k].plane_view.plane_size
-            for k, square in least.items()
-            if square > 0.0
-        }
+        return {k: math.sqrt(square) for k, square in least.items() if square > 0.0}

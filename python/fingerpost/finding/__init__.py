@@ -36,7 +36,7 @@ from fingerpost.finding.one_finger import (
     compare_lengths,
     compare_widths,
     other_fingers,
-    tips_distance,
+    rays_of_tips,
 )
 from fingerpost.finding.pairs import Viewpoint, pair_scores, width_ratio
 from fingerpost.finding.pixel_tests import flatness, widening
@@ -67,7 +67,7 @@ __all__ = [
     "measured_line",
     "other_fingers",
     "pair_scores",
-    "tips_distance",
+    "rays_of_tips",
     "widening",
     "width_ratio",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from typing import Protocol
 
@@ -17,10 +17,11 @@ from fingerpost.finding.finger import (
 )
 from fingerpost.finding.pairs import (
     MIN_SAME_TIP,
+    TipRays,
     Viewpoint,
     foreshortenings,
     same_tip,
-    tips_apart,
+    tip_rays,
     width_ratio,
 )
 from fingerpost.pointing import FingerLine, PlaneView, Status, indicated_point
@@ -147,8 +148,10 @@ def have_two_tips(views: Pair) -> bool:
     return same is not None and same < MIN_SAME_TIP
 
 
-def other_fingers(viewpoints: Sequence[Viewpoint], lines: Sequence[object]) -> list[int]:
-    """Return the views whose fingertip agrees with that of no other view.
+def rays_of_tips(
+    viewpoints: Sequence[Viewpoint], lines: Sequence[object]
+) -> dict[tuple[int, int], TipRays]:
+    """Return the rays through the tips that every two views follow.
 
     Parameters
     ----------
@@ -156,39 +159,25 @@ def other_fingers(viewpoints: Sequence[Viewpoint], lines: Sequence[object]) -> l
         Camera centres and homographies of the views.
     lines
         The finger line of each; any other object for a view without one.
-
-    Returns
-    -------
-    list of int
-        Their indices; both of two views that follow different fingers.
     """
-    fingers = {k: _detection(line) for k, line in enumerate(lines) if isinstance(line, FingerLine)}
-    tips_are_one = {
-        (i, j): same_tip((viewpoints[i], viewpoints[j]), (fingers[i], fingers[j])) >= MIN_SAME_TIP
+    fingers = {
+        k: FingerDetection((line.tip_px[0], line.tip_px[1]), line.angle_rad, line.half_width_px)
+        for k, line in enumerate(lines)
+        if isinstance(line, FingerLine)
+    }
+    return {
+        (i, j): tip_rays((viewpoints[i], viewpoints[j]), (fingers[i], fingers[j]))
         for i, j in combinations(fingers, 2)
     }
-    backed = {k for pair, is_one in tips_are_one.items() if is_one for k in pair}
-    return [k for k in fingers if len(fingers) > 1 and k not in backed]
 
 
-def tips_distance(
-    viewpoints: tuple[Viewpoint, Viewpoint], lines: tuple[FingerLine, FingerLine]
-) -> float:
-    """Return the distance of the rays through the tips of two lines [plane units]; NaN if unknown.
+def other_fingers(rays: Mapping[tuple[int, int], TipRays]) -> list[int]:
+    """Return the views whose fingertip agrees with that of no other view, by `rays_of_tips`.
 
-    Parameters
-    ----------
-    viewpoints
-        Camera centres and homographies of the two views.
-    lines
-        Their finger lines.
+    Both of two views that follow different fingers are among them.
     """
-    first, second = (_detection(line) for line in lines)
-    return tips_apart(viewpoints, (first, second))[1]
-
-
-def _detection(line: FingerLine) -> FingerDetection:
-    return FingerDetection((line.tip_px[0], line.tip_px[1]), line.angle_rad, line.half_width_px)
+    backed = {k for pair, tips in rays.items() if tips.likelihood >= MIN_SAME_TIP for k in pair}
+    return sorted({k for pair in rays for k in pair} - backed)
 
 
 def share_tip(views: Pair) -> bool:

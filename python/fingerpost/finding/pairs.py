@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -516,25 +517,40 @@ def same_tip(
     float
         0 to 1; 1 if unknown.
     """
-    height, distance = tips_apart(views, fingers)
-    plane_size = views[0].plane_view.plane_size
-    return float(_is_one(height / plane_size, distance / plane_size))
+    return tip_rays(views, fingers).likelihood
 
 
-def tips_apart(
-    views: tuple[Viewpoint, Viewpoint], fingers: tuple[FingerDetection, FingerDetection]
-) -> tuple[float, float]:
-    """Return the height above the plane at which the rays through two tips are nearest.
+class TipRays(NamedTuple):
+    """The rays through the tips of two fingers, where they are nearest.
 
-    And their distance there; both in plane units, NaN if unknown.
+    Attributes
+    ----------
+    height, distance
+        Height above the plane, and distance there [plane sizes]; NaN if unknown.
     """
+
+    height: float
+    distance: float
+
+    @property
+    def likelihood(self) -> float:
+        """Likelihood that both tips are one point above the plane, 0 to 1; 1 if unknown."""
+        return float(_is_one(self.height, self.distance))
+
+
+def tip_rays(
+    views: tuple[Viewpoint, Viewpoint], fingers: tuple[FingerDetection, FingerDetection]
+) -> TipRays:
+    """Return the rays through the tips of two fingers; the parameters are those of `same_tip`."""
     (foot, ray, _), (other_foot, other_ray, _) = (
         _ray(view, finger) for view, finger in zip(views, fingers, strict=True)
     )
     between = _between(foot, other_foot)
     s, t = _nearest(ray, other_ray, between)
     apart = (b + t * q - s * p for b, p, q in zip(between, ray, other_ray, strict=True))
-    return 0.5 * (s * ray[2] + t * other_ray[2]), math.hypot(*apart)
+    plane_size = views[0].plane_view.plane_size
+    height = 0.5 * (s * ray[2] + t * other_ray[2])
+    return TipRays(height / plane_size, math.hypot(*apart) / plane_size)
 
 
 def _between(

@@ -13,6 +13,7 @@ from fingerpost.references.rectangles import (
     Candidate,
     find_rectangles,
     likeness,
+    likeness_in_either_order,
     size_scores,
     turned,
 )
@@ -42,6 +43,7 @@ __all__ = [
     "find_rectangles",
     "fit_sides",
     "likeness",
+    "likeness_in_either_order",
     "marker_cells",
     "sheet_markers",
     "signed_area",

@@ -341,8 +341,8 @@ def _extents(points: Array, along: Array, shape: tuple[int, ...]) -> Array:
 
 
 def _likeness(quad: Array, size: tuple[float, float], shape: tuple[int, ...]) -> float:
-    """Return the factor of the score by the likelihood for the better order of the sides."""
-    best = max(likeness(quad, turned, shape) for turned in (size, size[::-1]))
+    """Return the factor of the score by the likelihood."""
+    best = likeness_in_either_order(quad, size, shape)
     return 0.0 if best < LEAST_LIKENESS else max(UNLIKE, best)
 
 
@@ -374,6 +374,13 @@ def likeness(quad: Array, size: tuple[float, float], shape: tuple[int, ...]) -> 
     skew = (columns[:, 0] * columns[:, 1]).sum(axis=0) / (lengths[0] * lengths[1])
     off = np.hypot(skew, np.log(lengths[0] / lengths[1])) / ASPECT_SIGMA
     return float(np.exp(-0.5 * off.min() ** 2)) if np.isfinite(off).any() else 0.0
+
+
+def likeness_in_either_order(
+    quad: Array, size: tuple[float, float], shape: tuple[int, ...]
+) -> float:
+    """Return the likelihood for the better order of the sides; parameters as of `likeness`."""
+    return max(likeness(quad, ordered, shape) for ordered in (size, size[::-1]))
 
 
 def _nearness(quads: Array, near_px: Array | None, shape: tuple[int, ...]) -> Array:
