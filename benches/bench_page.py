@@ -28,9 +28,10 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import websockets
@@ -41,6 +42,8 @@ from fingerpost.config import Rig
 from fingerpost.live import Page
 from fingerpost.live.scene import RigScene
 from fingerpost.pipeline import Pointer, steps
+
+T = TypeVar("T")
 
 FPS = 30.0
 CLIP = Path(__file__).parents[1] / "python" / "fingerpost" / "data" / "desk" / "rig.toml"
@@ -79,16 +82,19 @@ def stamped(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def cameras(rig: Rig, seconds: float, *, stamps: bool = False) -> Iterator[tuple[Frame, ...]]:
     """Yield the clip's frames to and fro, at the rate of a camera."""
     with open_views(rig.sources) as sources:
-        pairs = [tuple(pair) for pair in read_views(sources)]
-    there_and_back = [*pairs, *pairs[-2:0:-1]]
+        pairs = [[frame.image for frame in pair] for pair in read_views(sources)]
+    for k, now_s, images in to_and_fro(pairs, seconds):
+        shown = [stamped(images[0]), *images[1:]] if stamps else images
+        yield tuple(Frame(k, now_s, image) for image in shown)
+
+
+def to_and_fro(items: Sequence[T], seconds: float) -> Iterator[tuple[int, float, T]]:
+    """Yield the number of a frame, the time, and an item for it, at the rate of a camera."""
+    there_and_back = [*items, *items[-2:0:-1]]
     begun_s, k = time.monotonic(), 0
     while k < seconds * FPS:
         time.sleep(max(begun_s + k / FPS - time.monotonic(), 0.0))
-        now_s = time.monotonic()
-        images = [frame.image for frame in there_and_back[k % len(there_and_back)]]
-        if stamps:
-            images[0] = stamped(images[0])
-        yield tuple(Frame(k, now_s, image) for image in images)
+        yield k, time.monotonic(), there_and_back[k % len(there_and_back)]
         # Frames that a camera sends while the loop is busy are lost.
         k = max(k + 1, math.ceil((time.monotonic() - begun_s) * FPS))
 

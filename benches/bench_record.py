@@ -11,7 +11,6 @@ sixth of the time and at the end.
 from __future__ import annotations
 
 import json
-import math
 import os
 import resource
 import subprocess
@@ -23,47 +22,34 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from bench_page import CLIP, memory_mb, to_and_fro
 
 from fingerpost.capture import Frame, open_views, read_views
 from fingerpost.cli.recorder import open_recorder
 from fingerpost.config import Rig
 from fingerpost.pipeline import Pointer, steps
 
-FPS = 30.0
 SECONDS = 600.0
-CLIP = Path(__file__).parents[1] / "python" / "fingerpost" / "data" / "desk" / "rig.toml"
+Sent = list[tuple[bytes, np.ndarray]]
 
 
-def images_of(rig: Rig) -> list[list[tuple[bytes, np.ndarray]]]:
-    """Return the clip's images, to and fro, as JPEG and decoded."""
+def images_of(rig: Rig) -> list[Sent]:
+    """Return the clip's images as JPEG and decoded."""
     with open_views(rig.sources) as sources:
         together = [[frame.image for frame in frames] for frames in read_views(sources)]
-    sent = [
+    return [
         [
             (jpeg.tobytes(), cv2.imdecode(jpeg, cv2.IMREAD_COLOR))
             for jpeg in (cv2.imencode(".jpg", image)[1] for image in images)
         ]
         for images in together
     ]
-    return [*sent, *sent[-2:0:-1]]
 
 
-def cameras(
-    sent: Sequence[Sequence[tuple[bytes, np.ndarray]]], seconds: float
-) -> Iterator[tuple[Frame, ...]]:
-    """Yield frames at the rate of a camera; those sent while the loop is busy are lost."""
-    begun_s, k = time.monotonic(), 0
-    while k < seconds * FPS:
-        time.sleep(max(begun_s + k / FPS - time.monotonic(), 0.0))
-        now_s = time.monotonic()
-        yield tuple(Frame(k, now_s, image, jpeg) for jpeg, image in sent[k % len(sent)])
-        k = max(k + 1, math.ceil((time.monotonic() - begun_s) * FPS))
-
-
-def memory_mb() -> float:
-    """Return the resident memory of this process."""
-    status = Path("/proc/self/status").read_text()
-    return int(status.partition("VmRSS:")[2].split()[0]) / 1024
+def cameras(sent: Sequence[Sent], seconds: float) -> Iterator[tuple[Frame, ...]]:
+    """Yield frames to and fro, at the rate of a camera."""
+    for k, now_s, images in to_and_fro(sent, seconds):
+        yield tuple(Frame(k, now_s, image, jpeg) for jpeg, image in images)
 
 
 def measure(seconds: float, path: Path | None) -> dict[str, float]:
@@ -86,13 +72,13 @@ def measure(seconds: float, path: Path | None) -> dict[str, float]:
         latencies_ms.append(1e3 * (time.monotonic() - step.fix.time_s))
         jpeg_bytes += sum(len(seen.frame.encoded) for seen in step.observations if seen.frame)
         if not early_mb and time.monotonic() - begun_s > seconds / 6.0:
-            early_mb = memory_mb()
+            early_mb = memory_mb("self")
     figures = {
         "frames": len(latencies_ms),
         "p50_ms": float(np.percentile(latencies_ms, 50)),
         "p95_ms": float(np.percentile(latencies_ms, 95)),
         "early_mb": early_mb,
-        "late_mb": memory_mb(),
+        "late_mb": memory_mb("self"),
     }
     if recorder is not None:
         recorder.close()
