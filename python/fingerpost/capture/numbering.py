@@ -1,9 +1,9 @@
 """Capture times of still images, by the numbers in their names.
 
 Programs that save a stream number its frames or name them by the clock: as a number, or as date and
-time of day (ISO 8601, with any separators). A missing number is a lost
-frame: the later ones are dated accordingly, in this view alone. Other numbers, such as those of
-selected pictures, are ignored.
+time of day (ISO 8601, with any separators). A missing number is a lost frame: the later ones are
+dated accordingly, in this view alone. Other numbers, such as those of selected pictures, are
+ignored.
 """
 
 from __future__ import annotations
