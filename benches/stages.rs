@@ -158,11 +158,11 @@ fn finding(c: &mut Criterion) {
         let scenes = frames(pixels, count);
         let mut background = Background::new(BackgroundOptions::default()).unwrap();
         for _ in 0..20 {
-            background.observe(&view(&scenes[0]), None).unwrap();
+            background.observe(&view(&scenes[0]), &[]).unwrap();
         }
         let mut turn = scenes.iter().cycle();
         c.bench_function(&format!("background/{size}"), |b| {
-            b.iter(|| background.observe(&view(turn.next().unwrap()), None).unwrap());
+            b.iter(|| background.observe(&view(turn.next().unwrap()), &[]).unwrap());
         });
         let mut finder = HandFinder::new(FinderOptions::default()).unwrap();
         c.bench_function(&format!("candidates/{size}"), |b| {

@@ -1099,13 +1099,15 @@ def test_invalid_round_fingers_are_refused(finger, complaint):
 def test_invalid_image_parts_are_refused(part, complaint):
     background, image = Background(), grey(48, 64)
     for what, call in [
-        ("keep_out", lambda: background.observe(image, keep_out=part)),
-        ("keep_out", lambda: background.learn(image, keep_out=part)),
+        (r"keep_out\[0\]", lambda: background.observe(image, keep_out=[part])),
+        (r"keep_out\[0\]", lambda: background.learn(image, keep_out=[part])),
         ("part", lambda: background.forget(part)),
     ]:
         with pytest.raises(InvalidInputError, match="^" + complaint.format(what=what)):
             call()
-    background.observe(image, keep_out=[np.array([1, 2]), [3, 4], 5])
+    background.observe(image, keep_out=[[np.array([1, 2]), [3, 4], 5], ((1, 2), (1, 2), 3)])
+    with pytest.raises(InvalidInputError, match="keep_out is 3; it must be a sequence of regions"):
+        background.learn(image, keep_out=3)
 
 
 # --- several views ---------------------------------------------------------------------------

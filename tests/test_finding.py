@@ -4,7 +4,7 @@ import csv
 import dataclasses
 import math
 from contextlib import ExitStack
-from itertools import islice, pairwise
+from itertools import chain, islice, pairwise, repeat
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -39,6 +39,7 @@ from fingerpost.finding import (
     rays_of_tips,
     width_ratio,
 )
+from fingerpost.finding.body import Body
 from fingerpost.finding.finger import (
     HALF_WIDTH,
     AxisCorrection,
@@ -62,6 +63,7 @@ from fingerpost.finding.views import (
 )
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import FingerLine, PlaneView, Status
+from fingerpost.silhouette import Capsule, Silhouette
 from fingerpost.simulate import (
     Background,
     Camera,
@@ -228,12 +230,14 @@ def test_a_hand_may_have_come_while_the_background_is_unknown_or_covered(scene):
     for k in range(30):
         table = Frame(k, k / FPS, rig.render(AWAY, rng=rng).images[0])
         behind.look(table.grey(), table.colour())
-        assert any_foreground(behind, table) is not behind.is_known
+        assert any_foreground(behind, table, Body.none()) is not behind.is_known
         behind.learn(table.grey(), table.colour())
     assert behind.is_known
     hand = Frame(30, 30 / FPS, rig.render(OVER_THE_TABLE, rng=rng).images[0])
     behind.look(hand.grey(), hand.colour())
-    assert any_foreground(behind, hand)
+    assert any_foreground(behind, hand, Body.none())
+    everywhere = Silhouette(np.array([[320.0, 240.0]]), np.array([500.0]))
+    assert not any_foreground(behind, hand, Body(everywhere))  # it may be the arm
 
 
 @pytest.mark.parametrize("view", [0, 1])
@@ -256,6 +260,39 @@ def test_a_finger_that_moves_along_a_viewing_ray_is_not_rejected(view):
     assert moved_px[0] < 1.0 < 25.0 < moved_px[1]
     moves_from = int(1.9 * FPS)
     assert [s.index for s in steps[moves_from:] if s.fix.point is None] == []
+
+
+@pytest.mark.parametrize(("towards_camera", "comes"), [(0.0, 0), (0.5, 22)])
+def test_a_hand_that_rests_where_an_arm_may_hide_it_is_found_once_the_arm_has_left(
+    towards_camera, comes
+):
+    # The arm's silhouette covers the hand in both views from the first frame on; or, soon after the
+    # hand has come, in one view, and in the other one it is in plain sight. In either case for
+    # longer than an object that is put down takes to become background.
+    rig, rng = SCENES["plain"], np.random.default_rng(SEED)
+    table, rest = (
+        [rig.render(pose, rng=rng).images for _ in range(4)] for pose in (AWAY, OVER_THE_TABLE)
+    )
+    tip_mm = np.array(OVER_THE_TABLE.tip_mm)
+    before_mm = tip_mm + towards_camera * (rig.cameras[1].centre_mm - tip_mm)
+    arm = [Capsule(tuple(before_mm), tuple(before_mm + [0.0, 0.0, 200.0]), 150.0)]
+    known, left = 20, 20 + LearnedBackground().options["absorb_frames"] + 40
+    moving = chain(repeat([], comes), repeat(arm, left - comes), repeat([]))
+    pointer = Pointer(rig_from_simulation(rig), moving=lambda: next(moving))
+    found = []
+    for k in range(left + FOUND_WITHIN):
+        images = (table if k < known else rest)[k % 4]
+        for step in pointer.update([Frame(k, k / FPS, image) for image in images]):
+            found += [k] if step.fix.status is Status.OK else []
+    assert left <= min(found)
+
+
+def test_a_hand_that_the_search_has_found_is_a_newcomer():
+    # So it confirms the finger that the initial template follows in another view.
+    view = FirstHand(LearnedBackground(), None, lambda: None)
+    view.accept_from_search()
+    assert view.is_proven
+    assert view.is_newcomer
 
 
 def test_a_newcomer_at_the_template_does_not_replace_a_moving_finger(monkeypatch):
@@ -959,7 +996,7 @@ def test_options_of_the_search_are_checked():
     with pytest.raises(InvalidInputError, match="least half-width"):
         HandFinder({"min_half_width": 0.0})
     with pytest.raises(InvalidInputError, match="keep-out radius"):
-        LearnedBackground().observe(np.zeros((8, 8), np.uint8), keep_out=((0, 0), (1, 1), -1.0))
+        LearnedBackground().observe(np.zeros((8, 8), np.uint8), keep_out=[((0, 0), (1, 1), -1.0)])
     with pytest.raises(InvalidInputError, match="image is"):
         HandFinder().find(np.zeros((8, 8)))
 

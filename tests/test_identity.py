@@ -57,6 +57,19 @@ def test_another_appearance_is_not_accepted_until_the_hand_is_forgotten(other):
     assert memory.is_compatible(other, 1.1 + MEMORY_S)  # by then the hand is forgotten
 
 
+def test_what_may_be_no_hand_is_not_remembered_in_place_of_a_forgotten_one():
+    memory = Memory()
+    memory.learn(appearance(), 1.0)
+    forearm = appearance(half_width_px=30.0)
+    memory.learn(appearance(), 2.0 + MEMORY_S / 2, is_certain=False)
+    assert not memory.is_compatible(forearm, 1.1 + MEMORY_S)  # what is remembered is refreshed
+    after_s = 3.0 + 2 * MEMORY_S
+    memory.learn(forearm, after_s, is_certain=False)
+    assert memory.is_compatible(appearance(), after_s)
+    memory.learn(forearm, after_s)
+    assert not memory.is_compatible(appearance(), after_s)
+
+
 def test_a_hand_from_another_side_is_not_recognised():
     memory = Memory()
     memory.learn(appearance(angle_rad=0.3), 1.0)

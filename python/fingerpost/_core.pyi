@@ -1138,7 +1138,7 @@ class Background:
         image: NDArray[np.uint8],
         colour: NDArray[np.uint8] | None = None,
         *,
-        keep_out: tuple[ArrayLike, ArrayLike, float] | None = None,
+        keep_out: Sequence[tuple[ArrayLike, ArrayLike, float]] | None = None,
     ) -> None:
         """Process one frame: `look`, then `learn`.
 
@@ -1149,8 +1149,8 @@ class Background:
         colour : (height, width, 3), optional
             Colours of the same frame.
         keep_out
-            A region that is not learned, such as a hand: two ends (u, v) of a segment [px], and
-            the radius about it [px].
+            Regions that are not learned, such as a hand: two ends (u, v) of a segment [px], and
+            the radius about it [px]; none by default. They may overlap.
 
         Raises
         ------
@@ -1185,7 +1185,7 @@ class Background:
         image: NDArray[np.uint8],
         colour: NDArray[np.uint8] | None = None,
         *,
-        keep_out: tuple[ArrayLike, ArrayLike, float] | None = None,
+        keep_out: Sequence[tuple[ArrayLike, ArrayLike, float]] | None = None,
     ) -> None:
         """Learn from the frame that `look` processed last, except within ``keep_out``.
 

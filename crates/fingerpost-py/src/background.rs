@@ -35,6 +35,14 @@ fn part(value: &Bound<'_, PyAny>, what: &str) -> PyResult<KeepOut> {
     })
 }
 
+/// Regions that are kept out; none by default.
+fn parts(value: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<KeepOut>> {
+    let Some(value) = value else { return Ok(Vec::new()) };
+    let regions =
+        value.try_iter().map_err(|_| wrong("keep_out", value, "a sequence of regions"))?;
+    regions.enumerate().map(|(k, region)| part(&region?, &format!("keep_out[{k}]"))).collect()
+}
+
 /// Background model of a static camera.
 #[pyclass(name = "Background", module = "fingerpost._core")]
 pub struct PyBackground(pub Background);
@@ -58,10 +66,10 @@ impl PyBackground {
     ) -> PyResult<()> {
         let arrays = FrameArrays::new(image, colour)?;
         let frame = arrays.frame()?;
-        let keep_out = keep_out.map(|value| part(value, "keep_out")).transpose()?;
+        let keep_out = parts(keep_out)?;
         let mut this = slf.try_borrow_mut().map_err(|_| in_use("Background"))?;
         let background = &mut this.0;
-        py.detach(|| background.observe(&frame, keep_out.as_ref())).map_err(invalid_input)
+        py.detach(|| background.observe(&frame, &keep_out)).map_err(invalid_input)
     }
 
     /// Processes a frame without learning from it.
@@ -91,10 +99,10 @@ impl PyBackground {
     ) -> PyResult<()> {
         let arrays = FrameArrays::new(image, colour)?;
         let frame = arrays.frame()?;
-        let keep_out = keep_out.map(|value| part(value, "keep_out")).transpose()?;
+        let keep_out = parts(keep_out)?;
         let mut this = slf.try_borrow_mut().map_err(|_| in_use("Background"))?;
         let background = &mut this.0;
-        py.detach(|| background.learn(&frame, keep_out.as_ref())).map_err(invalid_input)
+        py.detach(|| background.learn(&frame, &keep_out)).map_err(invalid_input)
     }
 
     /// Discards the observations of a region.

@@ -13,6 +13,7 @@ from itertools import permutations
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fingerpost._core import FingerLine, StartPose
 from fingerpost.finding.finger import Array
@@ -60,9 +61,23 @@ class Body:
         if not len(self.silhouette.radii_px):
             return False
         places_px = tip_px + np.linspace(0.0, 1.0, SAMPLES)[:, None] * back_px
+        return bool(self.covers(places_px).mean() >= MIN_COVERED_PART)
+
+    def covers(self, places_px: Array) -> NDArray[np.bool_]:
+        """Return which image points (M, 2) [px] lie in the silhouette: (M,)."""
         if self.lens is not None:
             places_px = self.lens.undistort(places_px)
-        return bool(self.silhouette.covers(places_px).mean() >= MIN_COVERED_PART)
+        return self.silhouette.covers(places_px)
+
+    def discs(self) -> list[tuple[Array, Array, float]]:
+        """Return the image region as `Background.learn` excludes it: discs, whatever the lens."""
+        centres_px = self.silhouette.centres_px
+        if self.lens is not None:
+            centres_px = self.lens.distort(centres_px)
+        return [
+            (centre_px, centre_px, float(radius_px))
+            for centre_px, radius_px in zip(centres_px, self.silhouette.radii_px, strict=True)
+        ]
 
 
 class PassingView(Protocol):

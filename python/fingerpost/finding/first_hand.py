@@ -188,8 +188,8 @@ class FirstHand:
             self._background.forget(hand_region(earliest))
 
     def accept_from_search(self) -> None:
-        """Accept the hand that the search has found."""
-        self.is_proven = True
+        """Accept the hand that the search has found; it is evidence for the other views as well."""
+        self.is_proven = self.is_newcomer = True
 
     @property
     def has_second_template(self) -> bool:

@@ -6,6 +6,7 @@ import numpy as np
 
 from fingerpost._core import Background, FingerLine, StartPose
 from fingerpost.capture import Frame
+from fingerpost.finding.body import Body
 from fingerpost.finding.finger import HALF_WIDTH, Array, places_about
 
 MIN_TEMPLATE_PART = 0.3
@@ -50,14 +51,15 @@ MIN_FOREGROUND_PLACES = 2
 in the foreground for which a hand may have come: the smallest hand with its arm covers more."""
 
 
-def any_foreground(background: Background, frame: Frame) -> bool:
-    """Whether anything is foreground; True while the background is unknown."""
+def any_foreground(background: Background, frame: Frame, body: Body) -> bool:
+    """Whether anything but a moving body is foreground; True while the background is unknown."""
     if not background.is_known:
         return True
     size_px = np.array(frame.image.shape[1::-1])
     places = GRID_CELLS * (size_px / GRID)
     likely = background.foreground(frame.grey(), places, colour=frame.colour())
-    return int((likely >= MIN_FOREGROUND).sum()) >= MIN_FOREGROUND_PLACES
+    foreground = places[likely >= MIN_FOREGROUND]
+    return int((~body.covers(foreground)).sum()) >= MIN_FOREGROUND_PLACES
 
 
 def stands_out(background: Background, frame: Frame, line: FingerLine) -> bool:

@@ -433,12 +433,16 @@ class HandView:
         """Learn the appearance of a hand that is followed for good."""
         half_width_px = fitted_half_width_px(self._followed.track)
         if half_width_px is not None:
-            self._followed.memory.learn(Appearance.of(frame, line, half_width_px), frame.time_s)
+            self._followed.memory.learn(
+                Appearance.of(frame, line, half_width_px),
+                frame.time_s,
+                is_certain=self._followed.without_point.frames == 0,
+            )
 
     def _count_waiting(self, frame: Frame, track: Track) -> None:
         """Count the consecutive frames with foreground but no hand at the template."""
         is_waiting = track.status == "acquiring"
-        may_be_elsewhere = is_waiting and any_foreground(self.search.background, frame)
+        may_be_elsewhere = is_waiting and any_foreground(self.search.background, frame, self._body)
         self._followed.waiting.update(may_be_elsewhere)
 
     def _count_missed(self, track: Track) -> None:
@@ -501,7 +505,7 @@ class HandView:
         The frame is the last one of `view_frame`.
         """
         shows_finger = self.shows_finger or self.search.found is not None
-        return not (shows_finger or any_foreground(self.search.background, frame))
+        return not (shows_finger or any_foreground(self.search.background, frame, self._body))
 
     def observe(self, frame: Frame | None, *, rests: bool = False) -> None:
         """Learn the background from the tracker's last frame, and search it if required.

@@ -119,13 +119,20 @@ class Memory:
         self._appearance: Appearance | None = None
         self._seen_s = -math.inf
 
-    def learn(self, appearance: Appearance | None, time_s: float) -> None:
-        """Update the mean; an appearance beyond `MAX_SQUARED_DISTANCE` changes nothing."""
+    def learn(
+        self, appearance: Appearance | None, time_s: float, *, is_certain: bool = True
+    ) -> None:
+        """Update the mean; an appearance beyond `MAX_SQUARED_DISTANCE` changes nothing.
+
+        One that is not certain to be a hand's, such as that of a forearm whose finger is hidden, is
+        not remembered in place of a forgotten one: the finger would not be accepted afterwards.
+        """
         if appearance is None:
             return
         known = self._recent(time_s)
         if known is None:
-            self._appearance, self._seen_s = appearance, time_s
+            if is_certain:
+                self._appearance, self._seen_s = appearance, time_s
         elif known.squared_distance(appearance) <= MAX_SQUARED_DISTANCE:
             self._appearance, self._seen_s = known.updated(appearance), time_s
 

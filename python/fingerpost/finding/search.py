@@ -87,9 +87,17 @@ class HandSearch:
         return self.background
 
     def learn(self, frame: Frame, track: Track | None) -> None:
-        """Learn the background from `update_background`'s last frame, a tracked hand excluded."""
+        """Learn the background from `update_background`'s last frame.
+
+        Excluded are a tracked hand and, before a known background, moving bodies and trials that
+        may be hands: one that rests while it is hidden, here or in another view, would be learned
+        otherwise before it can be found.
+        """
         line = track.finger_line if track is not None else None
-        keep_out = None if line is None else hand_region(line)
+        hands = [trial.line for trial in self.trials if trial.is_hand_before_background]
+        keep_out = [hand_region(hand) for hand in (line, *hands) if hand is not None]
+        if self.background.is_known:
+            keep_out += self.body.discs()
         self.background.learn(frame.grey(), frame.colour(), keep_out=keep_out)
         self._known_frames = self._known_frames + 1 if self.background.is_known else 0
 

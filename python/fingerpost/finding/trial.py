@@ -129,6 +129,11 @@ class Trial:
         return self.foreground >= MIN_FOREGROUND
 
     @property
+    def is_hand_before_background(self) -> bool:
+        """Whether it is foreground with a hand behind the finger."""
+        return self.is_foreground and self.widening >= MIN_WIDENING_FOREGROUND
+
+    @property
     def priority(self) -> float:
         """Priority of continuing it, 0 to 1."""
         return self.score * precedence(self.foreground)

@@ -5,7 +5,7 @@
 //! decrements the count; at zero the pixel restarts with its present level (the majority algorithm
 //! of Boyer and Moore, as a running estimate). So the first frames give the level that most of them
 //! show, a passing hand changes nothing, and an object that is put down and stays becomes
-//! background after a while. The region of a tracked hand is excluded.
+//! background after a while. The regions of a tracked hand and of a moving arm are excluded.
 //!
 //! The light may change: every frame is first explained as `gain · background + offset`, fitted
 //! robustly to a grid of pixels, and all comparison and learning is done in the light of the
@@ -33,6 +33,8 @@ use crate::image::frame::Frame;
 use crate::numeric::simd::Isa;
 use change::{Change, Comparison, ForegroundRow};
 use nalgebra::Vector2;
+use std::iter::once;
+use std::ops::Range;
 pub use visit::CELL_PX;
 use visit::{BackgroundLearning, Visits};
 
@@ -79,7 +81,7 @@ impl ForegroundMap {
 /// let mut background = Background::new(BackgroundOptions::default())?;
 /// let table = [80; 64 * 48];
 /// for _ in 0..10 {
-///     background.observe(&Frame::gray(GrayView::new(&table, 64, 48, 64)?), None)?;
+///     background.observe(&Frame::gray(GrayView::new(&table, 64, 48, 64)?), &[])?;
 /// }
 /// assert!(background.is_known());
 /// let expected = background.expected(20.3, 10.7).expect("the pixels around it are known");
@@ -111,6 +113,8 @@ pub struct Background {
     slopes: Vec<Slope>,
     pairs: Vec<(f32, f32)>,
     ratios: Vec<f32>,
+    /// Columns of a row that are kept out, region by region.
+    kept_columns: Vec<Range<usize>>,
 }
 
 /// The background's gradient at a pixel, in the light of the frame, and the frame's difference from
@@ -170,6 +174,7 @@ impl Background {
             slopes: Vec::with_capacity(2 * SAMPLES),
             pairs: Vec::with_capacity(2 * SAMPLES),
             ratios: Vec::with_capacity(2 * SAMPLES),
+            kept_columns: Vec::new(),
         })
     }
 
@@ -243,8 +248,8 @@ impl Background {
     /// with colours where there were none, starts a new background.
     ///
     /// # Errors
-    /// If `keep_out` is not finite or its radius not positive.
-    pub fn observe(&mut self, frame: &Frame<'_>, keep_out: Option<&KeepOut>) -> Result<()> {
+    /// If a region is not finite or its radius not positive.
+    pub fn observe(&mut self, frame: &Frame<'_>, keep_out: &[KeepOut]) -> Result<()> {
         self.look(frame);
         self.learn(frame, keep_out)
     }
@@ -262,11 +267,9 @@ impl Background {
     /// Learns from the frame last looked at, except within `keep_out`.
     ///
     /// # Errors
-    /// If `keep_out` is not finite or its radius not positive.
-    pub fn learn(&mut self, frame: &Frame<'_>, keep_out: Option<&KeepOut>) -> Result<()> {
-        if let Some(keep_out) = keep_out {
-            keep_out.check()?;
-        }
+    /// If a region is not finite or its radius not positive.
+    pub fn learn(&mut self, frame: &Frame<'_>, keep_out: &[KeepOut]) -> Result<()> {
+        keep_out.iter().try_for_each(KeepOut::check)?;
         self.fit_size(frame);
         let height = frame.image().height();
         let step = if self.frames < self.options.learn_frames { 1 } else { self.in_turn() };
@@ -487,9 +490,12 @@ impl Background {
     }
 
     /// Updates every pixel of a row, except those that are kept out.
-    fn learn_row(&mut self, frame: &Frame<'_>, y: usize, keep_out: Option<&KeepOut>) {
+    fn learn_row(&mut self, frame: &Frame<'_>, y: usize, keep_out: &[KeepOut]) {
         let (Some((width, _)), Some(row)) = (self.size, frame.image().row(y)) else { return };
-        let skip = keep_out.map_or(0..0, |k| k.columns(y as f64, width));
+        let mut kept = std::mem::take(&mut self.kept_columns);
+        kept.clear();
+        kept.extend(keep_out.iter().map(|k| k.columns(y as f64, width)).filter(|c| !c.is_empty()));
+        kept.sort_unstable_by_key(|columns| columns.start);
         let noise = self.options.noise_grey as f32;
         let sigmas = self.options.changed_sigmas as f32;
         let learning = BackgroundLearning {
@@ -502,7 +508,10 @@ impl Background {
         };
         let colours = frame.colour().filter(|_| y.is_multiple_of(CELL_PX));
         let colours = colours.and_then(|c| c.row(y)).unwrap_or_default();
-        for part in [0..skip.start, skip.end..width] {
+        let mut next = 0;
+        for kept in kept.iter().cloned().chain(once(width..width)) {
+            let part = next..kept.start.max(next);
+            next = next.max(kept.end);
             let at = y * width + part.start..y * width + part.end;
             let cell = y / CELL_PX * width.div_ceil(CELL_PX) + part.start.div_ceil(CELL_PX);
             let first = part.start.next_multiple_of(CELL_PX);
@@ -517,5 +526,6 @@ impl Background {
                 now_in_colour: colours.get(3 * first..).unwrap_or_default(),
             });
         }
+        self.kept_columns = kept;
     }
 }

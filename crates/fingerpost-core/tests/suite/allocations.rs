@@ -222,7 +222,7 @@ fn a_learned_background() {
             let picture = empty(&mut noise);
             let mut observe = |frame: &Frame<'_>| {
                 let (count, ()) = allocations(|| {
-                    background.observe(frame, None).unwrap();
+                    background.observe(frame, &[]).unwrap();
                     background.foreground_map(frame, &mut map);
                 });
                 assert!(k == 0 || count == 0, "coloured {coloured}, frame {k}");

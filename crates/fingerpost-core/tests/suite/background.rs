@@ -70,7 +70,7 @@ fn learned(coloured: bool, frames: usize, noise: &mut Noise) -> Background {
     let mut background = Background::new(BackgroundOptions::default()).unwrap();
     for _ in 0..frames {
         let shot = Shot::of(table, 1.0, noise);
-        shot.with(coloured, |f| background.observe(f, None)).unwrap();
+        shot.with(coloured, |f| background.observe(f, &[])).unwrap();
     }
     background
 }
@@ -122,7 +122,7 @@ fn levels_are_interpolated_bilinearly_and_undefined_outside() {
     let mut background = Background::new(BackgroundOptions::default()).unwrap();
     for _ in 0..9 {
         let view = GrayView::new(&ramp, 64, 32, 64).unwrap();
-        background.observe(&Frame::gray(view), None).unwrap();
+        background.observe(&Frame::gray(view), &[]).unwrap();
     }
     for (u, v) in [(0.0, 0.0), (10.25, 3.5), (63.0, 31.0), (62.9, 30.1)] {
         let expected = background.expected(u, v).unwrap();
@@ -140,7 +140,7 @@ fn a_passing_hand_is_foreground_and_not_learned() {
         let mut background = learned(coloured, 12, &mut noise);
         for k in 0..60 {
             let shot = Shot::of(with_hand(k), 1.0, &mut noise);
-            shot.with(coloured, |f| background.observe(f, None)).unwrap();
+            shot.with(coloured, |f| background.observe(f, &[])).unwrap();
             let (hand, table) = shares(&map_of(&background, &shot, coloured), in_hand(k));
             assert!(hand > 0.8, "coloured {coloured}, frame {k}: {hand}");
             assert!(table < 0.01, "coloured {coloured}, frame {k}: {table}");
@@ -161,7 +161,7 @@ fn a_hand_in_the_first_frames_leaves_no_lasting_ghost() {
         } else {
             Shot::of(table, 1.0, &mut noise)
         };
-        shot.with(true, |f| background.observe(f, None)).unwrap();
+        shot.with(true, |f| background.observe(f, &[])).unwrap();
         last = Some(shot);
     }
     let (ghost, _) = shares(&map_of(&background, &last.unwrap(), true), in_hand(30));
@@ -177,7 +177,7 @@ fn a_new_object_is_absorbed_after_a_fixed_time_at_any_age_of_the_background() {
         let mut seen = Vec::new();
         for _ in 0..2 * absorb {
             let shot = Shot::of(with_hand(40), 1.0, &mut noise);
-            shot.with(true, |f| background.observe(f, None)).unwrap();
+            shot.with(true, |f| background.observe(f, &[])).unwrap();
             seen.push(shares(&map_of(&background, &shot, true), in_hand(40)).0);
         }
         // A background of few frames changes sooner.
@@ -199,7 +199,7 @@ fn a_forgotten_region_is_relearned_at_once() {
     // Every fourth pair of rows is visited four times.
     for _ in 0..16 {
         let shot = Shot::of(table, 1.0, &mut noise);
-        shot.with(true, |f| background.observe(f, None)).unwrap();
+        shot.with(true, |f| background.observe(f, &[])).unwrap();
     }
     assert!(background.expected(40.0, 39.0).is_some());
 }
@@ -216,7 +216,7 @@ fn images_of_odd_sizes_are_learned_outside_the_kept_out_region() {
             let colours = ColourView::new(&colour, width, height, 3 * width).unwrap();
             let frame = Frame::coloured(view, colours).unwrap();
             for _ in 0..12 {
-                background.observe(&frame, Some(&keep_out)).unwrap();
+                background.observe(&frame, &[keep_out]).unwrap();
             }
             let known = background.expected(0.0, 0.0).is_some();
             assert_eq!(known, end.coords.norm() > kept_px, "{width} × {height}, {kept_px} px");
@@ -232,7 +232,7 @@ fn a_kept_out_hand_is_never_learned() {
     let mut background = Background::new(BackgroundOptions::default()).unwrap();
     for _ in 0..40 {
         let shot = Shot::of(with_hand(30), 1.0, &mut noise);
-        shot.with(true, |f| background.observe(f, Some(&keep_out))).unwrap();
+        shot.with(true, |f| background.observe(f, &[keep_out])).unwrap();
     }
     let along = keep_out.to - keep_out.from;
     // Forgetting the region later has the same effect.
@@ -253,13 +253,43 @@ fn a_kept_out_hand_is_never_learned() {
 }
 
 #[test]
+fn nothing_is_learned_in_the_union_of_regions() {
+    let mut noise = Noise::new(0x756e_696f);
+    let disc = |u: f64, v: f64, radius_px: f64| {
+        let at = Point2::new(u, v);
+        KeepOut { from: at, to: at, radius_px }
+    };
+    // Apart, overlapping, one within another, across the edge, and outside the image.
+    let discs = [
+        disc(70.3, 20.6, 6.2),
+        disc(20.2, 30.1, 9.7),
+        disc(31.4, 33.8, 8.1),
+        disc(19.1, 29.3, 3.4),
+        disc(-1.2, 2.3, 5.3),
+        disc(-40.0, -40.0, 7.0),
+    ];
+    let mut background = Background::new(BackgroundOptions::default()).unwrap();
+    for _ in 0..12 {
+        let shot = Shot::of(table, 1.0, &mut noise);
+        shot.with(true, |f| background.observe(f, &discs)).unwrap();
+    }
+    for y in 0..HEIGHT {
+        for x in 0..WIDTH {
+            let place = Point2::new(x as f64, y as f64);
+            let outside = discs.iter().all(|d| (place - d.from).norm() > d.radius_px);
+            assert_eq!(background.expected(place.x, place.y).is_some(), outside, "({x}, {y})");
+        }
+    }
+}
+
+#[test]
 fn the_light_may_drop_by_forty_percent_during_a_hand() {
     for coloured in [false, true] {
         let mut noise = Noise::new(0x6c69_6768);
         let mut background = learned(coloured, 12, &mut noise);
         for k in 0..10 {
             let shot = Shot::of(with_hand(20 + k), 0.6, &mut noise);
-            shot.with(coloured, |f| background.observe(f, None)).unwrap();
+            shot.with(coloured, |f| background.observe(f, &[])).unwrap();
             let light = background.light();
             assert!((light.gain - 0.6).abs() < 0.02, "{light:?}");
             assert!(light.offset_grey.abs() < 2.0, "{light:?}");
@@ -297,13 +327,13 @@ fn a_moving_camera_voids_the_background_and_a_still_one_relearns_it() {
     let moved = |k: usize| move |x: usize, y: usize| table(x + 3 * k, y + k);
     for k in 1..6 {
         let shot = Shot::of(moved(k), 1.0, &mut noise);
-        shot.with(false, |f| background.observe(f, None)).unwrap();
+        shot.with(false, |f| background.observe(f, &[])).unwrap();
         assert!(!background.is_known(), "frame {k}: {}", background.changed_share());
         assert_eq!(shares(&map_of(&background, &shot, false), |_, y| y < 40), (0.0, 0.0));
     }
     for _ in 0..20 {
         let shot = Shot::of(moved(5), 1.0, &mut noise);
-        shot.with(false, |f| background.observe(f, None)).unwrap();
+        shot.with(false, |f| background.observe(f, &[])).unwrap();
     }
     assert!(background.is_known());
     let expected = background.expected(30.0, 30.0).unwrap();
@@ -323,8 +353,8 @@ fn looking_then_learning_equals_observing() {
         // The expected level is the known one under the light of this frame.
         let now = looked.expected(5.0, 5.0).unwrap();
         assert!(k > 0 || (now.grey - 0.8 * before.grey).abs() < 2.0, "{before:?} {now:?}");
-        shot.with(false, |f| looked.learn(f, None)).unwrap();
-        shot.with(false, |f| observed.observe(f, None)).unwrap();
+        shot.with(false, |f| looked.learn(f, &[])).unwrap();
+        shot.with(false, |f| observed.observe(f, &[])).unwrap();
         assert_eq!(looked.expected(50.3, 30.6), observed.expected(50.3, 30.6));
     }
 }
@@ -342,7 +372,7 @@ fn a_subpixel_shift_is_detected_and_learned() {
     let mut background = Background::new(BackgroundOptions::default()).unwrap();
     let mut show = |du: f64, background: &mut Background| {
         let shot = Shot::of(waves(du), 1.0, &mut noise);
-        shot.with(false, |f| background.observe(f, None)).unwrap();
+        shot.with(false, |f| background.observe(f, &[])).unwrap();
     };
     for _ in 0..30 {
         show(0.0, &mut background);
@@ -375,7 +405,7 @@ fn parallel_edges_determine_no_shift_along_them() {
         let mut background = Background::new(BackgroundOptions::default()).unwrap();
         let mut show = |du: f64, background: &mut Background| {
             let shot = Shot::of(stripes(du), 1.0, &mut noise);
-            shot.with(false, |f| background.observe(f, None)).unwrap();
+            shot.with(false, |f| background.observe(f, &[])).unwrap();
         };
         for k in 0..300 {
             show(0.0, &mut background);
@@ -398,7 +428,7 @@ fn a_uniform_background_determines_no_shift() {
     let pixels = [90; 64 * 48];
     for _ in 0..20 {
         let frame = Frame::gray(GrayView::new(&pixels, 64, 48, 64).unwrap());
-        background.observe(&frame, None).unwrap();
+        background.observe(&frame, &[]).unwrap();
     }
     assert_eq!(background.shift_px(), None);
     assert!(background.is_exact());
@@ -409,10 +439,10 @@ fn a_single_bright_frame_is_no_motion() {
     let mut noise = Noise::new(0x666c_6173);
     let mut background = learned(false, 20, &mut noise);
     let flash = Shot::of(|x, y| [((x * 37 + y * 91) % 200) as f64; 3], 1.0, &mut noise);
-    flash.with(false, |f| background.observe(f, None)).unwrap();
+    flash.with(false, |f| background.observe(f, &[])).unwrap();
     for _ in 0..2 {
         let shot = Shot::of(table, 1.0, &mut noise);
-        shot.with(false, |f| background.observe(f, None)).unwrap();
+        shot.with(false, |f| background.observe(f, &[])).unwrap();
     }
     assert!(background.is_known());
     let expected = background.expected(30.0, 30.0).unwrap();
@@ -427,7 +457,7 @@ fn the_map_covers_images_of_any_size() {
         let mut map = ForegroundMap::default();
         for _ in 0..20 {
             let frame = Frame::gray(GrayView::new(&pixels, width, height, width).unwrap());
-            background.observe(&frame, None).unwrap();
+            background.observe(&frame, &[]).unwrap();
             background.foreground_map(&frame, &mut map);
         }
         assert_eq!((map.width, map.height), (width.div_ceil(CELL_PX), height.div_ceil(CELL_PX)));
@@ -441,7 +471,7 @@ fn a_new_image_size_restarts_the_learning() {
     let mut noise = Noise::new(0x7369_7a65);
     let mut background = learned(false, 20, &mut noise);
     let pixels = [10; 30];
-    background.observe(&Frame::gray(GrayView::new(&pixels, 6, 5, 6).unwrap()), None).unwrap();
+    background.observe(&Frame::gray(GrayView::new(&pixels, 6, 5, 6).unwrap()), &[]).unwrap();
     assert!(!background.is_known());
     assert_eq!(background.expected(20.0, 20.0), None);
 }
@@ -465,8 +495,8 @@ fn options_out_of_range_are_refused() {
     let frame = Frame::gray(GrayView::new(&pixels, 6, 5, 6).unwrap());
     let at = Point2::new(1.0, 1.0);
     let keep_out = KeepOut { from: at, to: at, radius_px: 0.0 };
-    let refused = background.observe(&frame, Some(&keep_out));
+    let refused = background.observe(&frame, &[keep_out]);
     assert!(matches!(refused, Err(Error::OutOfRange { .. })), "{refused:?}");
     let keep_out = KeepOut { from: at, to: Point2::new(f64::NAN, 0.0), radius_px: 2.0 };
-    assert!(background.observe(&frame, Some(&keep_out)).is_err());
+    assert!(background.observe(&frame, &[keep_out]).is_err());
 }

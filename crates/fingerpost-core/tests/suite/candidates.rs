@@ -121,10 +121,10 @@ fn new_foreground_ranks_first() {
     let mut background = Background::new(BackgroundOptions::default()).unwrap();
     for _ in 0..12 {
         let picture = before.clone().blur(0.9).take(2.0, &mut noise);
-        background.observe(&picture.view().into(), None).unwrap();
+        background.observe(&picture.view().into(), &[]).unwrap();
     }
     let picture = with_hand(before, &hand, 110.0).blur(0.9).take(2.0, &mut noise);
-    background.observe(&picture.view().into(), None).unwrap();
+    background.observe(&picture.view().into(), &[]).unwrap();
     let mut finder = finder();
     let candidates = finder.find(&picture.view().into(), Some(&background)).to_vec();
     assert_eq!(rank(&candidates, &hand), Some(0), "{candidates:?}");
