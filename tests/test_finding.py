@@ -275,7 +275,8 @@ def test_a_hand_that_rests_where_an_arm_may_hide_it_is_found_once_the_arm_has_le
     )
     tip_mm = np.array(OVER_THE_TABLE.tip_mm)
     before_mm = tip_mm + towards_camera * (rig.cameras[1].centre_mm - tip_mm)
-    arm = [Capsule(tuple(before_mm), tuple(before_mm + [0.0, 0.0, 200.0]), 150.0)]
+    above_mm = before_mm + np.array([0.0, 0.0, 200.0])
+    arm = [Capsule(tuple(before_mm), tuple(above_mm), 150.0)]
     known, left = 20, 20 + LearnedBackground().options["absorb_frames"] + 40
     moving = chain(repeat([], comes), repeat(arm, left - comes), repeat([]))
     pointer = Pointer(rig_from_simulation(rig), moving=lambda: next(moving))
