@@ -164,6 +164,24 @@ def test_every_view_begins_with_its_own_table(text):
         parsed(text.encode())
 
 
+@pytest.mark.parametrize(
+    ("twice", "key"),
+    [
+        ('name = "left"\nname = "right"', "name"),
+        ('name = "left"\n  # another\nname = "left"', "name"),
+        (f"{POINTS}\n{POINTS}", "points"),
+    ],
+)
+def test_a_key_that_stands_twice_in_a_table_is_named_with_its_lines(twice, key):
+    slip = RIG.replace(twice.split("\n", 1)[0], twice, 1)
+    first = slip[: slip.index(twice)].count("\n") + 1
+    second = first + twice.count("\n")
+    with pytest.raises(InvalidInputError) as raised:
+        parsed(slip.encode())
+    words = f"lines {first} and {second} both give {key}: keep one of them"
+    assert str(raised.value).endswith(words)
+
+
 def test_only_the_change_of_a_long_line_is_shown():
     many = ", ".join(f"[{k}, {k * k}]" for k in range(100))
     for slip, shown in (

@@ -293,6 +293,8 @@ def _advice(text: str, error: tomllib.TOMLDecodeError) -> str:
     in_two = [re.sub(r"^\s*\[\s*view\s*\]", "[[view]]", line) for line in lines]
     if in_two != lines and _is_beyond(_unread(in_two), left[0]):
         return f": {_OWN_TABLE}"
+    if (repeated := _repeated_key(lines, len(lines) - 1 - left[0])) is not None:
+        return f": {repeated}"
     found = _repaired(lines, left)
     if found is None or not found.line.replace("\t", " ").isprintable():
         return ""
@@ -301,6 +303,23 @@ def _advice(text: str, error: tomllib.TOMLDecodeError) -> str:
     old = lines[found.begin] if found.begin < found.end else ""
     right = _shown(found.line, old)
     return f": {found.rule}; line {found.begin + 1} would be right as: {right}"
+
+
+def _repeated_key(lines: list[str], index: int) -> str | None:
+    """Return the words for a line that repeats a key of its table; None for any other.
+
+    None as well behind a whole view: there the header of the next one is missing.
+    """
+    keys: dict[str, int] = {}
+    for k, line in enumerate(lines[: index + 1]):
+        if re.match(r"\s*\[+\s*[A-Za-z_]", line):
+            keys = {}
+        elif found := _KEY_AND_VALUE.fullmatch(line):
+            key = found[1].strip(" \t=")
+            if k == index and key in keys and not {"source", "reference_points_px"} <= keys.keys():
+                return f"lines {keys[key] + 1} and {k + 1} both give {key}: keep one of them"
+            keys.setdefault(key, k)
+    return None
 
 
 def _repaired(lines: list[str], left: tuple[int, int]) -> _Suggestion | None:
