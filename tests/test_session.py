@@ -321,6 +321,31 @@ def test_exported_parquet_is_read_by_arrow(recording, tmp_path):
     assert "No such file or directory" in refused("export", recording, "--points", nowhere)
 
 
+def test_a_full_disk_leaves_the_previous_parquet(recording, tmp_path):
+    pytest.importorskip("pyarrow.parquet")
+    table = tmp_path / "p.parquet"
+    assert invoked("export", recording, "--points", table).exit_code == 0
+    before = table.read_bytes()
+    program = """
+import resource, sys
+from fingerpost.cli import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+main(["export", sys.argv[1], "--points", sys.argv[2]])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program, recording, table],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"fingerpost: {table}: cannot be written: ")
+    assert "File too large" in line
+    assert done.returncode != 0
+    assert table.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [table]
+
+
 def test_an_exported_video_shows_every_step_at_its_time(recording, rig_file, tmp_path):
     assert invoked("export", recording, "--video", tmp_path / "v.webm").exit_code == 0
     with open_source(str(tmp_path / "v.webm")) as video:

@@ -180,6 +180,11 @@ def unused(path: Path) -> Path:
     return found
 
 
+def part_of(path: Path) -> Path:
+    """Return the unique temporary name of a file that is renamed once it is complete."""
+    return path.with_name(f"{path.name}.{os.getpid()}.part")
+
+
 def make_folder(folder: Path) -> Path:
     """Create a folder and its parents if they do not exist; return it.
 

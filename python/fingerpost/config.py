@@ -29,7 +29,7 @@ from fingerpost.capture import (
     resolve_source,
     source_relative_to,
 )
-from fingerpost.checks import finite_array, in_range
+from fingerpost.checks import finite_array, in_range, part_of
 from fingerpost.errors import InvalidInputError, RigError
 from fingerpost.formats import NAMES, Size, corners_of, sides_of
 from fingerpost.homography import (
@@ -901,11 +901,6 @@ def rig_tables() -> dict[str, type[msgspec.Struct]]:
     """Return the schema of every table of a rig file, by its dotted name; "" is the file."""
     kinds = {f"view.reference of kind {kind}": table for kind, table in _REFERENCES.items()}
     return {**_TABLES, **kinds}
-
-
-def part_of(path: Path) -> Path:
-    """Return the unique temporary name under which `Rig.save` writes first."""
-    return path.with_name(f"{path.name}.{os.getpid()}.part")
 
 
 def _tables(path: Path) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import click
 import msgspec
 import numpy as np
 
-from fingerpost.config import part_of
+from fingerpost.checks import part_of
 from fingerpost.errors import InvalidInputError
 from fingerpost.habit import Habit
 from fingerpost.pointing import Fix, Status

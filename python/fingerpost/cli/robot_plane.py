@@ -202,7 +202,7 @@ def plane(
 
 def _need_file(path: Path) -> None:
     """Check that the new rig can be written, by writing the temporary file of `Rig.save`."""
-    from fingerpost.config import part_of
+    from fingerpost.checks import part_of
 
     problem = ""
     try:

@@ -6,6 +6,7 @@ plane's unit. The file's metadata describe each column.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import errno
 import re
@@ -13,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
+from fingerpost.checks import part_of
 from fingerpost.errors import InvalidInputError, RecordingError
 from fingerpost.installation import require
 from fingerpost.recording.tables import Row
@@ -73,7 +75,7 @@ def column_names(row_type: type[Row], unit: str) -> dict[str, str]:
 def write_parquet(
     path: Path, rows: Sequence[Row], row_type: type[Row], *, unit: str, about: Mapping[str, str]
 ) -> None:
-    """Write rows to a file, which replaces an existing one.
+    """Write rows to a file, which replaces an existing one once it is complete.
 
     Parameters
     ----------
@@ -99,12 +101,17 @@ def write_parquet(
     schema = _schema(arrow, row_type, unit, about)
     names = column_names(row_type, unit)
     columns = {column: [getattr(row, name) for row in rows] for name, column in names.items()}
+    part = part_of(path)
     try:
-        with path.open("wb") as file:
+        with part.open("wb") as file:
             parquet.write_table(arrow.table(columns, schema), file, compression="zstd")
+        part.replace(path)
     except OSError as error:
         kind = RecordingError if error.errno in _FULL else InvalidInputError
         raise kind(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink()  # an incomplete file, which nothing can read
 
 
 def _schema(arrow: Any, row_type: type[Row], unit: str, about: Mapping[str, str]) -> Any:

@@ -141,19 +141,6 @@ impl Convergence {
         appearance.learn(scene, &mut self.image, &contour, finger, weights)
     }
 
-    /// The same by the samples without an edge only, for a hand that an object may cover elsewhere.
-    pub fn learn_unseen(
-        &mut self,
-        appearance: &mut AppearanceModel,
-        samples: usize,
-        scene: &Scene<'_>,
-        finger: &Silhouette,
-    ) -> Result<()> {
-        self.gather_unseen(samples);
-        let contour = Contour { edges: &[], unseen: &self.unseen };
-        appearance.learn(scene, &mut self.image, &contour, finger, (1.0, UNSEEN_FRAMES))
-    }
-
     /// An empty appearance model, to be [returned](Self::take_back).
     pub fn lend_appearance(&mut self, frame: &Frame<'_>) -> AppearanceModel {
         let coloured = frame.colour().is_some();

@@ -71,9 +71,7 @@ impl ContourTracker {
                 self.hand.grow();
                 self.hand.count_thumb(&found, lose_after_frames);
                 self.hand.count_partly(&found);
-                if found.fit.is_some_and(|fit| fit.matched_only) {
-                    self.learn_behind(scene)?;
-                } else {
+                if !found.fit.is_some_and(|fit| fit.matched_only) {
                     self.update_appearance(scene, &found)?;
                 }
                 self.motion_prior.follow(innovation);

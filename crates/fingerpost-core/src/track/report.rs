@@ -369,18 +369,6 @@ impl ContourTracker {
         });
         self.convergence.learn_from_fit(appearance, samples, scene, &finger, (keep, frames as f64))
     }
-
-    /// Learns the background where the hand of the last accepted fit ends without an edge.
-    /// Occluders elsewhere are not learned.
-    pub(super) fn learn_behind(&mut self, scene: &Scene<'_>) -> Result<()> {
-        if is_off(Mechanism::UnseenBackground) {
-            return Ok(());
-        }
-        let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
-        self.hand.appearance.as_mut().map_or(Ok(()), |appearance| {
-            self.convergence.learn_unseen(appearance, samples, scene, &finger)
-        })
-    }
 }
 
 /// Whether the pixels about the flanks are the hand's: an occluder has other pixels.
