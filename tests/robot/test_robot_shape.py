@@ -2,6 +2,7 @@
 
 import math
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -77,11 +78,15 @@ def test_the_path_between_poses_has_no_gaps():
     assert poses[-1].x_m == pytest.approx(0.5)
 
 
-class FixedArm:
-    """A robot reduced to its shape."""
+class ShapeOnly:
+    """A robot reduced to its shape, and to the readings of its driver."""
 
     shape = SCORBOT_ER7_SHAPE
     limits = None
+    reading = None
+
+    def status(self):
+        return SimpleNamespace(pose=self.reading)
 
 
 def covers(whereabouts, x_m, y_m):
@@ -91,7 +96,7 @@ def covers(whereabouts, x_m, y_m):
 
 
 def test_the_arm_may_be_anywhere_from_its_last_reading_to_its_goal():
-    arm = Whereabouts(FixedArm(), RobotPlane.same(0.0))
+    arm = Whereabouts(ShapeOnly(), RobotPlane.same(0.0))
     assert arm.body() == ()
     arm.read(over_table(0.4, -0.2), moving=False)
     assert covers(arm, 0.4, -0.2)
@@ -109,12 +114,38 @@ def test_the_arm_may_be_anywhere_from_its_last_reading_to_its_goal():
 
 
 def test_a_stopped_arm_is_at_its_last_reading():
-    arm = Whereabouts(FixedArm(), RobotPlane.same(0.0))
+    arm = Whereabouts(ShapeOnly(), RobotPlane.same(0.0))
     arm.read(over_table(0.4, -0.2), moving=False)
     arm.sent(over_table(0.4, 0.2))
     arm.read(over_table(0.4, -0.1), moving=False)
     assert not covers(arm, 0.4, 0.1)
     assert covers(arm, 0.4, -0.1)
+
+
+def test_what_the_driver_has_read_since_shortens_the_path():
+    robot = ShapeOnly()
+    arm = Whereabouts(robot, RobotPlane.same(0.0))
+    arm.read(over_table(0.4, -0.2), moving=False)
+    robot.reading = over_table(0.4, 0.3)  # of an earlier motion
+    arm.sent(over_table(0.4, 0.2))
+    for y_m, from_m in ((-0.2, -0.2), (-0.1, -0.2), (-0.05, -0.1), (0.05, -0.05)):
+        robot.reading = over_table(0.4, y_m)
+        for _ in range(3):  # frames between two readings
+            assert all(covers(arm, 0.4, y) for y in np.linspace(from_m, 0.2, 21))
+            assert not covers(arm, 0.4, from_m - 0.1)
+    arm.sent(over_table(0.5, 0.2))  # the readings may date from the motion before
+    assert covers(arm, 0.4, -0.2)
+    arm.arrived()
+    assert not covers(arm, 0.4, 0.05)
+
+
+def test_a_plug_in_without_a_status_is_anywhere_on_its_path():
+    robot = ShapeOnly()
+    robot.status = None
+    arm = Whereabouts(robot, RobotPlane.same(0.0))
+    arm.read(over_table(0.4, -0.2), moving=False)
+    arm.sent(over_table(0.4, 0.2))
+    assert all(covers(arm, 0.4, y_m) for y_m in np.linspace(-0.2, 0.2, 21))
 
 
 def test_capsules_in_plane_units():

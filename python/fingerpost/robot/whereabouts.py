@@ -12,6 +12,10 @@ from fingerpost.silhouette import Capsule
 GOALS_KEPT = 2
 """Number of goals to which the arm may be moving: a stride is sent before the last one is done."""
 
+READINGS_KEPT = 2
+"""Number of the driver's readings of a moving arm of which the oldest counts: a picture may be
+older than the newest."""
+
 
 class Whereabouts:
     """Possible positions of one arm.
@@ -29,6 +33,8 @@ class Whereabouts:
         self._plane = plane
         self._read: Pose | None = None
         self._goals: deque[Pose] = deque(maxlen=GOALS_KEPT)
+        # The driver's readings, of which the first one dates from before the motion.
+        self._readings: deque[Pose | None] = deque(maxlen=1 + READINGS_KEPT)
 
     @property
     def pose(self) -> Pose | None:
@@ -48,6 +54,7 @@ class Whereabouts:
 
     def sent(self, goal: Pose) -> None:
         """Add a goal to which the arm is sent."""
+        self._readings = deque([self._driver_reading()], maxlen=1 + READINGS_KEPT)
         self._goals.append(goal)
 
     def arrived(self) -> None:
@@ -59,9 +66,26 @@ class Whereabouts:
     def body(self) -> tuple[Capsule, ...]:
         """Return the volume that the arm may occupy, in plane coordinates; empty before a reading.
 
-        It includes the arm with its gripper anywhere on the path from the last reading to goals.
+        It includes the arm with its gripper anywhere on the path from the last reading to goals. A
+        driver that waits for an arrival takes readings as well.
         """
         # Copied first: another thread changes the goals.
-        poses = [pose for pose in (self._read, *tuple(self._goals)) if pose is not None]
+        goals = tuple(self._goals)
+        passed = self._passed() if goals else self._read
+        poses = [pose for pose in (passed, *goals) if pose is not None]
         shape = getattr(self._robot, "shape", None) or ArmShape.of_limits(self._robot.limits)
         return self._plane.capsules(part for pose in along(poses) for part in shape.capsules(pose))
+
+    def _passed(self) -> Pose | None:
+        """Return the latest pose that a moving arm has certainly passed."""
+        readings, newest = self._readings, self._driver_reading()
+        if newest is not None and newest != readings[-1]:
+            readings.append(newest)
+        return readings[1] if len(readings) > READINGS_KEPT else self._read
+
+    def _driver_reading(self) -> Pose | None:
+        """Return the driver's last reading; None without one, or from a plug-in that fails."""
+        try:
+            return self._robot.status().pose
+        except Exception:  # the guard's watch reports it
+            return None
