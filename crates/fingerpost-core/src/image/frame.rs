@@ -97,15 +97,6 @@ impl<'a> ColourView<'a> {
         Some(channels)
     }
 
-    /// The mean colour of the pixels that lie in the image; `None` if none does.
-    pub(crate) fn mean(&self, pixels: impl Iterator<Item = SidedPixel>) -> Option<Vector3<f64>> {
-        let colours = pixels.filter_map(|p| self.pixel(p.x as usize, p.y as usize));
-        let (sum, count) = colours.fold((Vector3::zeros(), 0.0), |(sum, count), colour| {
-            (sum + Vector3::from(colour.map(f64::from)), count + 1.0)
-        });
-        (count > 0.0).then(|| sum / count)
-    }
-
     /// The bytes of row `y` without padding; `None` outside the image.
     #[must_use]
     pub fn row(&self, y: usize) -> Option<&'a [u8]> {

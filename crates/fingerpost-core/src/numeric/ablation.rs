@@ -48,8 +48,6 @@ pub(crate) enum Mechanism {
     MotionPrior,
     /// Leaving edges of occluders out of what the appearance learns.
     OccluderEdges,
-    /// Learning the background where a flank has no edge.
-    UnseenBackground,
     /// The design effect of correlated edges.
     DesignEffect,
     /// Templates close by in monochrome.

@@ -1,7 +1,7 @@
 //! Appearance model of a hand: all that is learned from the pixels on either side of its contour.
 
 use super::flank_levels::FlankLevels;
-use super::silhouette::{AHEAD, EDGE_PX, LIKE_HAND, Shaft, Silhouette};
+use super::silhouette::{AHEAD, EDGE_PX, Shaft, Silhouette};
 use crate::Result;
 use crate::appearance::discriminant::{Discriminant, DiscriminantImage, Mixture, region_about};
 use crate::appearance::histogram::HistogramModel;
@@ -24,12 +24,6 @@ const STRETCH: usize = 3;
 /// which the finger is a band of a pattern that goes on; without colours it is 0. A finger with its
 /// shadow ahead of it, before a brown table, was taken for a band at 0.27.
 const MAX_RATIO_AHEAD: f64 = 0.3;
-/// Distances from an edge of the mean colours compared where the hand ends without one, outside and
-/// inside \[px\]. If they differ by at least the value below, in the norm over all channels, the
-/// background there is unknown to the model \[grey levels\].
-const BEHIND_PX: [f64; 2] = [2.0 * EDGE_PX, 10.0];
-const INSIDE_PX: [f64; 2] = [EDGE_PX, 6.0];
-const OTHER_COLOUR: f64 = 20.0;
 
 /// Cue of the contour's search lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -140,15 +134,6 @@ impl SearchModel<'_> {
     }
 }
 
-/// The parts of a contour that the appearance is learned from.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Contour<'a> {
-    /// Positions of its edges.
-    pub edges: &'a [PlacedSample],
-    /// Where the hand is known to end without an edge: the background there may be unknown.
-    pub unseen: &'a [PlacedSample],
-}
-
 /// The appearance model of one hand.
 #[derive(Debug, Clone)]
 pub(super) struct AppearanceModel {
@@ -249,12 +234,11 @@ impl AppearanceModel {
         &mut self,
         frame: &Frame<'_>,
         image: &mut DiscriminantImage,
-        contour: &Contour<'_>,
+        contour: &[PlacedSample],
         finger: &Silhouette,
         (keep, times): (f64, f64),
     ) -> Result<()> {
-        self.gather(contour.edges, finger, AHEAD_WIDTHS);
-        self.gather_behind(frame, contour.unseen);
+        self.gather(contour, finger, AHEAD_WIDTHS);
         if self.pixels.is_empty() {
             return Ok(());
         }
@@ -264,7 +248,7 @@ impl AppearanceModel {
         self.discriminant.observe_all(frame, &self.pixels, times);
         self.plain.learn();
         if let Some(flank_levels) = &mut self.flank_levels {
-            flank_levels.learn(frame, contour.edges, finger, &self.plain, (keep, times));
+            flank_levels.learn(frame, contour, finger, &self.plain, (keep, times));
         }
         if let Some(shades) = &mut self.shades {
             shades.fade(keep as f32);
@@ -376,25 +360,6 @@ impl AppearanceModel {
         })
     }
 
-    /// Adds background pixels where a hand ends without an edge: the mixture learned elsewhere may
-    /// not separate the hand from this background. They count as background if their mean colour
-    /// differs from that inside, and the inside is like the hand, which excludes an occluder.
-    fn gather_behind(&mut self, frame: &Frame<'_>, unseen: &[PlacedSample]) {
-        let Some(colours) = frame.colour() else { return };
-        for PlacedSample { position, normal } in unseen {
-            let along = |[from_px, to_px]: [f64; 2], sign: f64| {
-                SidedPixel::along(*position, normal * sign, from_px, to_px, false)
-            };
-            let inside = along(INSIDE_PX, -1.0);
-            let means = colours.mean(inside.clone()).zip(colours.mean(along(BEHIND_PX, 1.0)));
-            let is_different = means.is_some_and(|(a, b)| (a - b).norm() >= OTHER_COLOUR);
-            let places = inside.map(|pixel| pixel.middle());
-            if is_different && self.plain.mean_log_ratio(frame, places) >= LIKE_HAND {
-                self.pixels.extend(along([2.0 * EDGE_PX, REACH_PX], 1.0));
-            }
-        }
-    }
-
     /// Collects the pixels on either side of a contour, and `ahead_widths` half-widths more ahead
     /// of the tip.
     fn gather(&mut self, contour: &[PlacedSample], finger: &Silhouette, ahead_widths: f64) {
@@ -411,7 +376,3 @@ impl AppearanceModel {
         }
     }
 }
-
-#[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "a test may panic")]
-mod tests;

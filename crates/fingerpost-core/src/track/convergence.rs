@@ -1,6 +1,6 @@
 //! Gauss–Newton in one shape space: measure, linearise, solve, update, until convergence.
 
-use super::appearance::{AppearanceModel, Contour, EdgeCue, SearchModel};
+use super::appearance::{AppearanceModel, EdgeCue, SearchModel};
 use super::design_effect::design_effect;
 use super::estimate::{MAX_DOF, ShapeEstimate};
 use super::fit_result::FitResult;
@@ -16,7 +16,7 @@ use crate::axis::Finger;
 use crate::geometry::shape_space::{PlacedSample, Pose, ShapeSpace};
 use crate::geometry::template::{Part, TemplateSample};
 use crate::image::frame::{Frame, SidedPixel};
-use crate::measure::edge::{EdgeMeasurement, Miss, Polarity, SearchLine};
+use crate::measure::edge::{EdgeMeasurement, Polarity, SearchLine};
 use crate::numeric::ablation::{Mechanism, is_off};
 use crate::numeric::simd::Isa;
 use crate::solve::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
@@ -41,10 +41,6 @@ const NEAR_EDGE_PX: [f64; 2] = [1.0, 2.0];
 /// Distances at which the full grey-level difference is measured \[px\].
 const ABOUT_EDGE_PX: [f64; 2] = [5.0, 6.0];
 
-/// Weight of the background where the hand shows no edge, in frames, if the frame gives no other
-/// information: about as many frames are remembered.
-pub(super) const UNSEEN_FRAMES: f64 = 5.0;
-
 /// The stages of one view and the buffers between them.
 #[derive(Debug, Clone)]
 pub(super) struct Convergence {
@@ -59,11 +55,9 @@ pub(super) struct Convergence {
     /// fit, or without a fit.
     abs_residuals_px: Vec<f64>,
     equations: EquationBuffer,
-    /// Edges that agree with the fit, whether each matches the appearance model inside, and samples
-    /// without an edge.
+    /// Edges that agree with the fit, and whether each matches the appearance model inside.
     agreeing: Vec<PlacedSample>,
     matches: Vec<bool>,
-    unseen: Vec<PlacedSample>,
     /// Residual offsets of the agreeing edges along the contour, with their part of the outline.
     agreeing_residuals: Vec<(Part, f64)>,
     /// Appearance models of an unknown hand: one for evaluating separation, and one for leading the
@@ -88,7 +82,6 @@ impl Convergence {
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
             agreeing: Vec::with_capacity(options.samples),
             matches: Vec::with_capacity(options.samples),
-            unseen: Vec::with_capacity(options.samples),
             agreeing_residuals: Vec::with_capacity(options.samples),
             unknown: AppearanceModel::new(false),
             leading: Some(leading),
@@ -120,9 +113,9 @@ impl Convergence {
     }
 
     /// Updates the appearance model by the finger's samples of the last search: those whose edges
-    /// agree with the fit, each moved to its edge, and those without an edge; see
-    /// [`AppearanceModel::learn`]. The finger's samples are the first `samples` of all. The thumb
-    /// is excluded: it may be lit differently, and the finger determines the line.
+    /// agree with the fit, each moved to its edge; see [`AppearanceModel::learn`]. The finger's
+    /// samples are the first `samples` of all. The thumb is excluded: it may be lit differently,
+    /// and the finger determines the line.
     pub fn learn_from_fit(
         &mut self,
         appearance: &mut AppearanceModel,
@@ -136,9 +129,7 @@ impl Convergence {
         }
         self.gather_agreeing(samples);
         self.leave_out_covered(appearance, scene)?;
-        self.gather_unseen(samples);
-        let contour = Contour { edges: &self.agreeing, unseen: &self.unseen };
-        appearance.learn(scene, &mut self.image, &contour, finger, weights)
+        appearance.learn(scene, &mut self.image, &self.agreeing, finger, weights)
     }
 
     /// An empty appearance model, to be [returned](Self::take_back).
@@ -172,8 +163,7 @@ impl Convergence {
             return Ok(false);
         }
         appearance.forget();
-        let contour = Contour { edges: &self.agreeing, unseen: &[] };
-        appearance.learn(scene, &mut self.image, &contour, finger, (0.0, 1.0))?;
+        appearance.learn(scene, &mut self.image, &self.agreeing, finger, (0.0, 1.0))?;
         Ok(true)
     }
 
@@ -224,17 +214,6 @@ impl Convergence {
             .filter(|&((i, ..), &weight)| i < samples && weight > LEARNED_MIN_WEIGHT)
             .map(|((_, line, edge), _)| at_edge(line, edge));
         self.agreeing.extend(agreeing);
-    }
-
-    /// Collects the finger's samples of the last search, the first `samples` of all, on whose lines
-    /// there is no edge.
-    fn gather_unseen(&mut self, samples: usize) {
-        self.unseen.clear();
-        let searched = self.visible.iter().zip(self.normals.lines()).zip(self.normals.found());
-        let unseen = searched
-            .filter(|&((&i, _), found)| i < samples && matches!(found, Err(Miss::NoContrast)))
-            .map(|((_, line), _)| line.sample);
-        self.unseen.extend(unseen);
     }
 
     /// Discards the agreeing edges that do not match the appearance model inside, unless these are

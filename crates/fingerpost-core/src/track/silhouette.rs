@@ -6,7 +6,7 @@ use crate::geometry::shape_space::{Axis, PlacedSample};
 use crate::image::frame::Frame;
 use nalgebra::{Point2, Vector2};
 /// Mean log-likelihood ratio at and above which pixels are like the hand.
-pub(super) const LIKE_HAND: f64 = 1.0;
+const LIKE_HAND: f64 = 1.0;
 /// Least lateral component of the normal of a flank's edge, the sine of its angle to the finger's
 /// direction.
 const MIN_LATERAL: f64 = 0.7;
