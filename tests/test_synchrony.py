@@ -2,6 +2,7 @@
 
 import logging
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -9,11 +10,13 @@ import pytest
 from msgspec import structs
 
 import fingerpost
+from fingerpost import pipeline
 from fingerpost.capture import Frame, open_source, open_views, read_views
 from fingerpost.capture.numbering import taken
 from fingerpost.config import Rig
 from fingerpost.consistency import FROZEN, Freshness, Tips, clocks_agree, lag_between
-from fingerpost.pipeline import Pointer, steps
+from fingerpost.errors import CaptureError
+from fingerpost.pipeline import HELD_BACK_S, Pointer, steps
 from fingerpost.pointing import Status
 from fingerpost.simulate import Placement, Workspace
 
@@ -214,6 +217,59 @@ def test_a_wrong_frame_rate_is_reported_and_gives_no_certain_points(clip):
     held = [d @ np.linalg.solve(covariance, d) <= 5.99 for d, covariance in off]
     assert np.mean(held) > 0.9
     assert all(step.fix.status is not Status.OK for step in reported[-20:])
+
+
+@pytest.mark.parametrize("late_by", [-8, 4, 6])
+def test_recordings_begun_apart_give_no_point_from_the_first_frame_on(clip, tmp_path, late_by):
+    rig, together = clip
+    views = []
+    for k, view in enumerate(rig.views):
+        (tmp_path / view.name).mkdir()
+        begun = max(0, late_by * (2 * k - 1))
+        for n, frames in enumerate(together[begun:70]):
+            cv2.imwrite(str(tmp_path / view.name / f"{n:03d}.png"), frames[k].image)
+        views.append(structs.replace(view, source=str(tmp_path / view.name / "*.png")))
+    fixes = list(fingerpost.track(structs.replace(rig, views=tuple(views))))
+    assert len(fixes) >= 60
+    assert not any(fix.status is Status.OK for fix in fixes)
+
+
+def test_the_points_of_recordings_in_step_are_held_back_and_unchanged(clip):
+    rig, together = clip
+    _, plain = run(rig, together)
+    pointer = Pointer(rig)
+    pointer.hold_back([SimpleNamespace(has_own_clock=True)] * 2)
+    came = [(k, step) for k, seen in enumerate(together) for step in pointer.update(seen)]
+    waited = {step.index: k - step.index for k, step in came}
+    assert max(waited.values()) * together[1][0].time_s <= HELD_BACK_S
+    assert max(waited.values()) > 20  # the hand has to move first
+    assert waited[len(together) - 5] == 0
+    held = [*(step for _, step in came), *pointer.finish()]
+    assert [repr(step.fix) for step in held] == [repr(step.fix) for step in plain]
+
+
+def test_large_pictures_do_not_wait_in_memory(clip, monkeypatch):
+    rig, together = clip
+    monkeypatch.setattr(pipeline, "HELD_BACK_BYTES", 5 * 2 * together[0][0].image.nbytes)
+    pointer = Pointer(rig)
+    pointer.hold_back([SimpleNamespace(has_own_clock=True)] * 2)
+    waited = {s.index: k - s.index for k, seen in enumerate(together) for s in pointer.update(seen)}
+    assert max(waited.values()) == 4
+
+
+def test_points_that_are_held_back_come_before_an_error(clip):
+    rig, together = clip
+
+    def damaged():
+        yield from together[:20]
+        raise CaptureError("the second film is damaged")
+
+    pointer = Pointer(rig)
+    pointer.hold_back([SimpleNamespace(has_own_clock=True)] * 2)
+    reported = []
+    with pytest.raises(CaptureError, match="damaged"):
+        reported.extend(step.index for step in steps(pointer, damaged()))
+    assert reported == list(range(20))
 
 
 def test_an_offset_in_the_rig_synchronises_the_views(clip, tmp_path):

@@ -312,6 +312,7 @@ def _follow(task: Task, part: Path) -> Outcome:
     ):
         if sources[0].kind is SourceKind.LIVE:
             raise InvalidInputError(f"{task.rig}: has live views; a batch works on recordings")
+        pointer.hold_back(sources)
         for step in steps(pointer, read_views(sources)):
             statuses[step.fix.status.value] += 1
             points.write(step.point_row())

@@ -37,7 +37,7 @@ from fingerpost.admission import (
     different_sides,
     reduced_view,
 )
-from fingerpost.capture import Frame, Loss, open_views, read_views
+from fingerpost.capture import Frame, Loss, Source, open_views, read_views
 from fingerpost.checks import in_range
 from fingerpost.config import FixedReference, Rig, View
 from fingerpost.consistency import Disagreement, Monitor, Scenery
@@ -50,6 +50,7 @@ from fingerpost.finding import (
     Identity,
     PairTests,
     SearchRest,
+    Viewpoint,
     compare_lengths,
     compare_widths,
     distinguish_body_from_hands,
@@ -355,6 +356,13 @@ def _marks(lines: SearchLines) -> SearchMarks:
     return SearchMarks(ends_px, edges_px, agrees)
 
 
+HELD_BACK_S = 3.0
+"""Longest wait of a recording's frames for a motion that compares the clocks of its views [s]."""
+
+HELD_BACK_BYTES = 300_000_000
+"""Greatest size of the images that wait."""
+
+
 @dataclass(slots=True)
 class _Pending:
     """A frame of the first view that waits until the other views reach its time."""
@@ -364,6 +372,17 @@ class _Pending:
     observations: tuple[Observation, ...]
     hand: Hand
     frames: tuple[Frame | Loss | None, ...]
+    viewpoints: tuple[Viewpoint, ...]
+
+    @property
+    def may_have_point(self) -> bool:
+        """Whether two views have a finger line."""
+        return sum(isinstance(one.finger, FingerLine) for one in self.observations) >= 2
+
+    @property
+    def size_bytes(self) -> int:
+        """Size of its images."""
+        return sum(one.image.nbytes for one in self.frames if isinstance(one, Frame))
 
 
 @dataclass(frozen=True, slots=True)
@@ -521,9 +540,24 @@ class Pointer:
         self._seen_s = [np.inf] * len(self.views)
         self._histories = tuple(_History() for _ in self.views)
         self._pending: deque[_Pending] = deque()
+        self._holds_back = False
         self._identity = Identity()
         self._rest = SearchRest()
         self._targets = rig.things
+
+    def hold_back(self, sources: Sequence[Source]) -> None:
+        """Hold points back until the hand has moved enough to compare clocks, if that is needed.
+
+        It is for recordings that may have begun at different times: so no point is returned that
+        does not allow for a lag which is found later. A frame waits for `HELD_BACK_S` at most, for
+        less if the images are large, and not at all without a point.
+
+        Parameters
+        ----------
+        sources
+            Open sources of the views.
+        """
+        self._holds_back = any(source.has_own_clock for source in sources)
 
     @property
     def plane_views(self) -> tuple[PlaneView, ...]:
@@ -638,7 +672,10 @@ class Pointer:
         if first is not None:
             self._identity.update(self.views, first.time_s)
             hand = self._identity.hand
-            pending = _Pending(first.index, first.time_s, observations, hand, tuple(seen))
+            viewpoints = tuple(view.viewpoint for view in self.views)
+            pending = _Pending(
+                first.index, first.time_s, observations, hand, tuple(seen), viewpoints
+            )
             self._pending.append(pending)
         steps = self._ready()
         needed_s = self._pending[0].time_s if self._pending else np.inf
@@ -815,7 +852,7 @@ class Pointer:
     def _ready(self) -> list[Step]:
         """Return the steps whose time all views have reached, or that have waited too long."""
         steps: list[Step] = []
-        while self._pending:
+        while self._pending and not self._is_held_back():
             oldest_s = self._pending[0].time_s
             waited_s = self._pending[-1].time_s - oldest_s
             is_late = waited_s > self._options.max_wait_s
@@ -825,6 +862,17 @@ class Pointer:
             late = f"no frame for {waited_s:.4g} s; at most {most_s:g} s are waited for"
             steps.append(self._step(self._pending.popleft(), late))
         return steps
+
+    def _is_held_back(self) -> bool:
+        """Whether the oldest frame waits for the comparison of the clocks."""
+        oldest, newest = self._pending[0], self._pending[-1]
+        return (
+            self._holds_back
+            and oldest.may_have_point
+            and newest.time_s - oldest.time_s < HELD_BACK_S
+            and newest.size_bytes * len(self._pending) < HELD_BACK_BYTES
+            and not self._monitor.has_compared_clocks
+        )
 
     def _step(self, pending: _Pending, without_frame: str) -> Step:
         """Compute the fix at the time of a frame.
@@ -839,7 +887,7 @@ class Pointer:
             history.plane_view_at(pending.time_s, view.plane_view)
             for history, view in zip(self._histories, self.views, strict=True)
         ]
-        rays = rays_of_tips([view.viewpoint for view in self.views], lines)
+        rays = rays_of_tips(pending.viewpoints, lines)
         for k in other_fingers(rays):
             lines[k] = _NoLine(Status.ILL_CONDITIONED, ANOTHER_FINGER)
         for k, lag in enumerate(self._monitor.lags):
@@ -923,9 +971,13 @@ def at_most(frames: Iterator[Frames], count: int | None) -> Iterator[Frames]:
 
 
 def steps(pointer: Pointer, frames: Iterable[Sequence[Frame | Loss | None]]) -> Iterator[Step]:
-    """Feed a pointer with frames and yield its steps to the last."""
-    for together in frames:
-        yield from pointer.update(together)
+    """Feed a pointer with frames and yield its steps to the last, before an error of the frames."""
+    try:
+        for together in frames:
+            yield from pointer.update(together)
+    except (FingerpostError, KeyboardInterrupt):
+        yield from pointer.finish()
+        raise
     yield from pointer.finish()
 
 
@@ -995,5 +1047,6 @@ def track(
     with ExitStack() as stack:
         sources = stack.enter_context(open_views(rig.sources, rig.readings))
         together = at_most(read_views(sources, give_up_after_s=give_up_after_s), max_frames)
+        pointer.hold_back(sources)
         for step in steps(pointer, together):
             yield (step.fix, step.frames) if frames else step.fix

@@ -55,6 +55,7 @@ class _Pictures(Source):
     """Pictures by index; subclasses define how to load one, and its capture time."""
 
     kind = SourceKind.RECORDED
+    has_own_clock = True
 
     def __init__(self, name: str, count: int) -> None:
         super().__init__(name)

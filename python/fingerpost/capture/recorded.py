@@ -54,6 +54,7 @@ class RecordedView(Source):
         about, _ = read_about(path)
         if view not in about.views:
             raise SourceError(f"{path}: has no view {view!r}; it has {', '.join(about.views)}")
+        self.has_own_clock = not about.is_live
         self.recording = path.resolve()
         self._path = path
         self._view = view

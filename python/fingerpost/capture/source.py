@@ -155,6 +155,9 @@ class Source(ABC):
         Name of the source in messages; passwords and tokens in URLs are masked.
     kind
         Recorded or live.
+    has_own_clock
+        Whether its times are those of a recording that may have begun at another time than those
+        of other views.
     frame_count
         Expected number of frames of a recorded source; None if unknown. Exact for still images; for
         a video it is taken from the file's header, and only fit for a progress bar.
@@ -173,6 +176,7 @@ class Source(ABC):
     """
 
     kind: SourceKind
+    has_own_clock: bool = False
     name: str
     recording: Path | None = None
     step: int = -1

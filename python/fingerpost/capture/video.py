@@ -163,6 +163,7 @@ class VideoFile(Source):
     """
 
     kind = SourceKind.RECORDED
+    has_own_clock = True
 
     def __init__(self, path: Path, *, fps: float, name: str = "") -> None:
         super().__init__(name or str(path))

@@ -204,6 +204,7 @@ def follow(
             if line is not None:
                 line.show(f"opening {', '.join(rig.sources)}")
             sources = stack.enter_context(open_views(rig.sources, rig.readings))
+            pointer.hold_back(sources)
             is_live = sources[0].kind is SourceKind.LIVE
             takers = _takers(stack, pointer, rig.plane.unit, asked, is_live)
             if asked.events is not None:

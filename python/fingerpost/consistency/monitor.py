@@ -130,7 +130,7 @@ class Monitor:
         first, other, known = self._tips[0], self._tips[k], self.lags[k]
         lag = lag_between(first, other, self._begun_s)
         if lag is None:
-            if (known is not None or self._rates_differ(k)) and clocks_agree(first, other):
+            if not self._agree[k] and clocks_agree(first, other):
                 self.lags[k], self._agree[k] = None, True
                 self._found[k].clear()
             return
@@ -140,8 +140,16 @@ class Monitor:
             self.lags[k] = lag
             self._found[k].append(lag)
             kind = "lag" if lag.rate == 1.0 else "rate"
-            words = f"{self._lag_words(k)}; points until now do not allow for it"
+            words = f"{self._lag_words(k)}; earlier points do not allow for it"
             self._say_once(kind, self._names[k], words)
+
+    @property
+    def has_compared_clocks(self) -> bool:
+        """Whether motion has shown every view's clock to agree with the first one's, or to lag."""
+        return all(
+            agrees or lag is not None
+            for agrees, lag in zip(self._agree[1:], self.lags[1:], strict=True)
+        )
 
     def possible_way_px(self, k: int) -> float:
         """Return how far the tip of a view may be displaced by a wrong frame rate [px].
