@@ -208,7 +208,7 @@ def test_a_scheduler_without_fingerpost_is_refused_in_one_line(rigs, cluster, tm
 
 
 def test_workers_of_several_threads_are_refused_in_one_line(rigs, tmp_path):
-    given = {"host": "127.0.0.1", "protocol": "tcp", "dashboard_address": None}
+    given = {"host": "127.0.0.1", "protocol": "tcp", "dashboard_address": "127.0.0.1:0"}
     with LocalCluster(n_workers=1, threads_per_worker=2, processes=False, **given) as there:
         said = refused(rigs, tmp_path, there.scheduler_address)
     assert "has 2 threads; start as many workers as there are cores" in said

@@ -197,26 +197,22 @@ def test_views_with_an_offset_are_detected_and_give_no_points(clip, caplog):
     assert "lags by -0.20 s" in reported[-1].fix.reason
 
 
-def test_a_wrong_frame_rate_is_reported_and_gives_no_certain_points(clip):
+@pytest.mark.parametrize("stated_fps", [20.0, 30.0, 60.0])
+def test_a_wrong_frame_rate_is_reported_and_gives_no_points(clip, stated_fps):
     rig, together = clip
     dated = [frame for left, right in together for frame in ((left, None), (None, right))]
     dated = [
-        (left, right and Frame(right.index, right.index / 30.0, right.image))
+        (left, right and Frame(right.index, right.index / stated_fps, right.image))
         for left, right in dated
     ]
     dated.sort(key=lambda pair: (pair[0] or pair[1]).time_s)
-    truth, plain = {}, run(rig, together)[1]
-    for step in plain:
-        truth[round(step.fix.time_s, 3)] = step.fix.point
-    pointer, reported = run(rig, dated)
+    pointer = Pointer(rig)
+    pointer.hold_back([SimpleNamespace(has_own_clock=True)] * 2)
+    reported = list(steps(pointer, dated))
     (note,) = pointer.notes()
     assert "25 a second for" in note
-    assert "in place of 30" in note
-    ok = [step.fix for step in reported if step.fix.status is Status.OK]
-    off = [(fix.point - truth[round(fix.time_s, 3)], fix.covariance) for fix in ok]
-    held = [d @ np.linalg.solve(covariance, d) <= 5.99 for d, covariance in off]
-    assert np.mean(held) > 0.9
-    assert all(step.fix.status is not Status.OK for step in reported[-20:])
+    assert f"in place of {stated_fps:g}" in note
+    assert all(step.fix.status is not Status.OK for step in reported)
 
 
 @pytest.mark.parametrize("late_by", [-8, 4, 6])

@@ -120,7 +120,9 @@ def cluster_at(address: str) -> Iterator[Cluster]:
                         n_workers=count,
                         threads_per_worker=1,
                         host="127.0.0.1",
-                        dashboard_address=None,
+                        # Any free port: the scheduler listens for HTTP without a dashboard, too.
+                        dashboard_address="127.0.0.1:0",
+                        scheduler_kwargs={"dashboard": False},
                         silence_logs=logging.CRITICAL,
                     )
                 )

@@ -12,7 +12,6 @@ lines to a common time, transfer each to its constraint line on the plane and in
 from __future__ import annotations
 
 import logging
-import math
 import numbers
 import sys
 from collections import deque
@@ -376,8 +375,8 @@ class _Pending:
 
     @property
     def may_have_point(self) -> bool:
-        """Whether two views have a finger line."""
-        return sum(isinstance(one.finger, FingerLine) for one in self.observations) >= 2
+        """Whether a view has a finger line: that of another one may be interpolated."""
+        return any(isinstance(one.finger, FingerLine) for one in self.observations)
 
     @property
     def size_bytes(self) -> int:
@@ -910,28 +909,12 @@ class Pointer:
             absences=_absences(lines, pending.observations),
             displacements={k: σ * plane_views[k].plane_size for k, σ in displacements.items()},
         )
-        fix = self._in_doubt(fix, plane_views)
         if self._operator is not None:
             size = max(view.plane_size for view in plane_views)
             fix = self._operator.meant(fix, self._options.max_sigma * size)
         if fix.point is not None and fix.covariance is not None:
             fix = replace(fix, targets=self._targets.probabilities(fix.point, fix.covariance))
         return Step(pending.index, pending.observations, fix, pending.hand, pending.frames)
-
-    def _in_doubt(self, fix: Fix, plane_views: Sequence[PlaneView]) -> Fix:
-        """Add to a fix the displacements by frame rates that may be wrong.
-
-        A displaced line moves the point along the other one. Most rates are right, so that the
-        doubt is no reason to refuse the point: its ellipse becomes as large as the plane at most.
-        """
-        if fix.point is None or fix.covariance is None or not fix.crossing_angle_rad:
-            return fix
-        ways_px = [self._monitor.possible_way_px(k) for k in range(1, len(plane_views))]
-        if not any(ways_px):
-            return fix
-        way = max(ways_px) * plane_views[0].unit_per_px / math.sin(fix.crossing_angle_rad)
-        most = self._options.max_sigma * max(view.plane_size for view in plane_views)
-        return replace(fix, covariance=fix.covariance + min(way, most) ** 2 * np.eye(2))
 
 
 def _with(entries: tuple[Entry, ...], k: int, entry: Entry) -> tuple[Entry, ...]:

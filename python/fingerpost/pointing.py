@@ -29,7 +29,6 @@ from fingerpost.homography import (
     inverse,
     kronecker_product,
     transfer_by_inverse,
-    transfer_jacobian_by_point,
     transfer_to_image,
 )
 from fingerpost.lens import Lens
@@ -364,12 +363,6 @@ class PlaneView:
         T = (1.0 - part) * self.image_from_plane + part * other.image_from_plane
         Σ_T = (1.0 - part) * self.entries_covariance + part * other.entries_covariance
         return PlaneView(self.plane_points, T, Σ_T, self.lens)
-
-    @cached_property
-    def unit_per_px(self) -> float:
-        """Length on the plane of a pixel at the centre of the reference points [plane units]."""
-        jacobian = transfer_jacobian_by_point(self.image_from_plane, self.plane_points.mean(axis=0))
-        return float(abs(np.linalg.det(jacobian)) ** -0.5)
 
     def project(self, plane_points: ArrayLike) -> NDArray[np.float64]:
         """Project points of the plane into the image, lens distortion included.

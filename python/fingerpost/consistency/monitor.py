@@ -12,7 +12,6 @@ import numpy as np
 from fingerpost.capture import Frame, Loss
 from fingerpost.consistency.freshness import Freshness
 from fingerpost.consistency.synchrony import (
-    UNEQUAL_RATES,
     Lag,
     Tips,
     clocks_agree,
@@ -151,35 +150,6 @@ class Monitor:
             for agrees, lag in zip(self._agree[1:], self.lags[1:], strict=True)
         )
 
-    def possible_way_px(self, k: int) -> float:
-        """Return how far the tip of a view may be displaced by a wrong frame rate [px].
-
-        If two views have different rates, frames that are given different times may have been
-        simultaneous, until the tips show the clocks to agree. In pixels of the first view.
-        """
-        if not self._is_in_doubt(k):
-            return 0.0
-        latest_s = float(self._tips[k].latest()[0][-1])
-        part = self._rates[k].interval_s / self._rates[0].interval_s - 1.0
-        return self._tips[k].way_px(abs(part) * (latest_s - self._begun_s))
-
-    def _is_in_doubt(self, k: int) -> bool:
-        """Whether a view's frame rate is another one, and no motion has yet confirmed its times."""
-        has_tips = len(self._tips[k]) > 0
-        return has_tips and not self._agree[k] and not self._found[k] and self._rates_differ(k)
-
-    def _unconfirmed(self, k: int) -> str:
-        rates = [1.0 / self._rates[j].interval_s for j in (0, k)]
-        return (
-            f'views "{self._names[0]}" and "{self._names[k]}" have {rates[0]:.3g} and '
-            f"{rates[1]:.3g} frames a second, and the hand did not move enough in both to confirm "
-            "it; one of the rates may be wrong: compare the recordings' lengths"
-        )
-
-    def _rates_differ(self, k: int) -> bool:
-        intervals_s = self._rates[0].interval_s, self._rates[k].interval_s
-        return max(intervals_s) > (1.0 + UNEQUAL_RATES) * min(intervals_s)
-
     def _lag_words(self, k: int) -> str:
         """Describe the lag of a view by all estimates."""
         growing = [lag for lag in self._found[k] if lag.rate != 1.0]
@@ -217,7 +187,6 @@ class Monitor:
     def notes(self) -> list[str]:
         """Return the observations, a line each."""
         notes = [self._lag_words(k) for k, found in enumerate(self._found) if found]
-        notes += [self._unconfirmed(k) for k in range(len(self._names)) if self._is_in_doubt(k)]
         for name, repeats, frames in zip(
             self._names, self._freshness.repeats, self._freshness.frames, strict=True
         ):

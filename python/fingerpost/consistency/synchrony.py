@@ -137,14 +137,6 @@ class Tips:
         rows[:, 0], rows[:, 1:] = time_s, point
         self._count += 1
 
-    def way_px(self, span_s: float) -> float:
-        """Return the greatest distance from the latest tip within the last `span_s` [px]."""
-        times_s, points = self.latest()
-        places = points[times_s >= times_s[-1] - span_s]
-        return float(
-            np.hypot(*(places[:, :2] / places[:, 2:] - points[-1, :2] / points[-1, 2]).T).max()
-        )
-
     def latest(self) -> tuple[Array, Array]:
         """Return the times (M,) [s] and points (M, 3) of the last `KEPT_S`, the oldest first.
 
