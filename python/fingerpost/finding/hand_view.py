@@ -76,6 +76,10 @@ MISSED_FRAMES = 2
 """Frames without a finger line after which the whole image is searched: the tracker may still wait
 at the hand's last position."""
 
+CERTAIN_FRAMES = 10
+"""Consecutive frames in which a finger gives a point, after which its appearance is the hand's: a
+forearm whose finger is hidden may give one by chance."""
+
 AT_TEMPLATE = 0.5
 AT_TEMPLATE_RAD = 0.6
 """Greatest distance between the fingertip and the initial template's tip [template lengths], and
@@ -124,6 +128,7 @@ class Followed:
     unsupported: Streak = field(default_factory=Streak)
     alone: Streak = field(default_factory=Streak)
     without_point: Streak = field(default_factory=Streak)
+    with_point: Streak = field(default_factory=Streak)
     flat: Streak = field(default_factory=Streak)
     missed: Streak = field(default_factory=Streak)
     doubtful: Streak = field(default_factory=Streak)
@@ -436,7 +441,7 @@ class HandView:
             self._followed.memory.learn(
                 Appearance.of(frame, line, half_width_px),
                 frame.time_s,
-                is_certain=self._followed.without_point.frames == 0,
+                is_certain=self._followed.with_point.frames >= CERTAIN_FRAMES,
             )
 
     def _count_waiting(self, frame: Frame, track: Track) -> None:
@@ -627,9 +632,11 @@ class HandView:
         """
         pairs = [other for other in others if self.shows_finger and other.shows_finger]
         if any(shared.can_be_one(self, other) for other in pairs):
+            self._followed.with_point.update(self.search.found is None)  # else the trial gives it
             self._followed.without_point.update(False)
             self._has_camera_moved = False
         elif pairs:
+            self._followed.with_point.update(False)
             self._followed.without_point.update(True)
             if self._followed.without_point.frames == NO_POINT_FRAMES and self._has_camera_moved:
                 self.search.reset_background()
