@@ -947,6 +947,27 @@ def test_a_late_background_trial_is_accepted_if_it_moves_and_another_view_suppor
     assert (rank > 0.0) == (not is_late or (has_moved and is_supported))
 
 
+@pytest.mark.parametrize("is_late", [False, True])
+@pytest.mark.parametrize("has_moved", [False, True])
+def test_beside_a_hand_that_has_come_only_a_moving_trial_may_be_background(
+    is_late: bool, has_moved: bool
+):
+    # In one view it has come; in the other one its place may have been learned with it.
+    came, there = (
+        SimpleNamespace(
+            is_foreground=is_foreground,
+            is_late=is_foreground or is_late,
+            has_moved=not is_foreground and has_moved,
+            frames=30,
+            stripe_frames=0,
+        )
+        for is_foreground in (True, False)
+    )
+    rank, has_held = pair_rank(0.8, [came, there], False, least_widening=1.0, is_supported=False)
+    assert has_held
+    assert (rank > 0.0) == (has_moved and not is_late)
+
+
 def test_a_pair_that_shows_a_stripe_is_rejected_unless_it_is_followed():
     trial = SimpleNamespace(
         is_foreground=True, is_late=False, has_moved=True, frames=30, stripe_frames=1

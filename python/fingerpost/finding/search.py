@@ -20,6 +20,7 @@ from fingerpost._core import (
 from fingerpost.capture import Frame
 from fingerpost.finding.body import Body
 from fingerpost.finding.finger import Array, FingerDetection, are_near, hand_region
+from fingerpost.finding.foreground import foreground_part
 from fingerpost.finding.length import TemplateExtension
 from fingerpost.finding.pixel_tests import widening
 from fingerpost.finding.trial import Trial, count_stripes, distinct, precedence
@@ -186,7 +187,8 @@ class HandSearch:
         if worst is not None:
             self.trials.remove(worst)
         factor = self._score_factors[self.candidates.index(candidate)]
-        score, is_late = candidate.score * factor, self._known_frames > SETTLED_FRAMES
+        score, is_settled = candidate.score * factor, self._known_frames > SETTLED_FRAMES
+        is_known = not np.isnan(foreground_part(self.background, frame, line))
         self.trials.append(
             Trial(
                 candidate,
@@ -197,7 +199,7 @@ class HandSearch:
                 score=float(score),
                 foreground=candidate.foreground,
                 widening=widening(frame, line, candidate.half_width_px),
-                is_late=is_late,
+                is_late=is_settled and is_known,
                 extension=TemplateExtension(self._tracker_at, half_width_px, self._known_length),
             )
         )

@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from fingerpost._core import (
     Background,
     Candidate,
@@ -89,7 +87,7 @@ class Trial:
     widening
         Running mean of the widening to a hand behind the finger, 0 to 1.
     is_late
-        Whether it was started long after the background became known.
+        Whether it was started long after the background there became known.
     frames
         Number of frames with an accepted fit; each frame without one halves it.
     misses
@@ -222,8 +220,9 @@ class Trial:
         )
         if likeness is not None:
             self.score += (1.0 - SCORE_DECAY) * (likeness * factor - self.score)
-        foreground = np.nan_to_num(foreground_part(background, frame, line))
-        self.foreground += (1.0 - SCORE_DECAY) * (float(foreground) - self.foreground)
+        foreground = float(foreground_part(background, frame, line))
+        if not math.isnan(foreground):
+            self.foreground += (1.0 - SCORE_DECAY) * (foreground - self.foreground)
         now = widening(frame, line, half_width_px)
         self.widening += (1.0 - SCORE_DECAY) * (now - self.widening)
 
@@ -307,9 +306,32 @@ def pair_rank(
         return CURRENT_PAIR_FACTOR * rank, True
     least, most = MIN_FRAMES[is_foreground]
     too_new = min(trial.frames for trial in trials) < score * least + (1.0 - score) * most
-    too_late = not is_foreground and any(
-        trial.is_late and not (is_supported and trial.has_moved) for trial in trials
+    too_late = any(
+        _is_too_late(trial, has_come=any(t.is_foreground for t in trials), supported=is_supported)
+        for trial in trials
     )
     may_be_stripe = any(trial.stripe_frames > 0 for trial in trials)
     is_refused = too_late or may_be_stripe or score < MIN_PAIR_SCORE
     return 0.0 if is_refused else rank, not too_new
+
+
+def _is_too_late(trial: Trial, *, has_come: bool, supported: bool) -> bool:
+    """Whether a trial is background that would be foreground if it were the hand.
+
+    A hand that was there from the start is background in all views, unless it has moved in those
+    where it is not.
+
+    Parameters
+    ----------
+    trial
+        The trial.
+    has_come
+        Whether a trial of its pair is foreground.
+    supported
+        Whether the other view's finger is validated as a hand.
+    """
+    if trial.is_foreground:
+        return False
+    return (
+        not (trial.has_moved and supported) if trial.is_late else has_come and not trial.has_moved
+    )
