@@ -559,6 +559,11 @@ class Pointer:
         self._holds_back = any(source.has_own_clock for source in sources)
 
     @property
+    def holds_back(self) -> bool:
+        """Whether points may be held back; see `hold_back`."""
+        return self._holds_back
+
+    @property
     def plane_views(self) -> tuple[PlaneView, ...]:
         """Homography of each view, as of its last frame."""
         return tuple(view.plane_view for view in self.views)
@@ -954,12 +959,17 @@ def at_most(frames: Iterator[Frames], count: int | None) -> Iterator[Frames]:
 
 
 def steps(pointer: Pointer, frames: Iterable[Sequence[Frame | Loss | None]]) -> Iterator[Step]:
-    """Feed a pointer with frames and yield its steps to the last, before an error of the frames."""
+    """Feed a pointer with frames and yield its steps to the last.
+
+    Steps that are held back come before an error of the frames; those of live views do not, for an
+    arm must not go on after an interruption.
+    """
     try:
         for together in frames:
             yield from pointer.update(together)
     except (FingerpostError, KeyboardInterrupt):
-        yield from pointer.finish()
+        if pointer.holds_back:
+            yield from pointer.finish()
         raise
     yield from pointer.finish()
 
