@@ -1413,3 +1413,12 @@ def test_any_map_gives_a_finite_contour_or_an_error(values, kind):
         return
     assert np.linalg.norm(placed.normal, axis=1) == pytest.approx(1)
     assert np.isfinite(placed.position_px).all()
+
+
+def test_an_interruption_is_no_error_of_an_array():
+    class Interrupted:
+        def __array__(self, *_, **__):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Background().expected(Interrupted())

@@ -7,6 +7,7 @@ use numpy::{
     Element, PyArray1, PyArray2, PyArrayDescrMethods, PyArrayMethods, PyReadonlyArrayDyn,
     PyUntypedArray, PyUntypedArrayMethods,
 };
+use pyo3::exceptions::PyException;
 use pyo3::intern;
 use pyo3::prelude::*;
 
@@ -97,6 +98,10 @@ fn reals(value: &Bound<'_, PyAny>, what: &str) -> PyResult<(Vec<f64>, Vec<usize>
     let numpy = py.import("numpy")?;
     // Interned: Python's method cache would keep the name of every call.
     let array = numpy.call_method1(intern!(py, "asarray"), (value,)).map_err(|error| {
+        // An interruption, such as Ctrl-C, is no error of the value.
+        if !error.is_instance_of::<PyException>(py) {
+            return error;
+        }
         let given = value.get_type();
         InvalidInputError::new_err(format!(
             "{what} is of {given}, which NumPy cannot read as an array ({error}); it must be an \
