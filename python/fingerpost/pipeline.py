@@ -539,7 +539,6 @@ class Pointer:
         self._seen_s = [np.inf] * len(self.views)
         self._histories = tuple(_History() for _ in self.views)
         self._pending: deque[_Pending] = deque()
-        self._holds_back = False
         self._identity = Identity()
         self._rest = SearchRest()
         self._targets = rig.things
@@ -556,12 +555,12 @@ class Pointer:
         sources
             Open sources of the views.
         """
-        self._holds_back = any(source.has_own_clock for source in sources)
+        self._monitor.confirms = any(source.has_own_clock for source in sources)
 
     @property
     def holds_back(self) -> bool:
         """Whether points may be held back; see `hold_back`."""
-        return self._holds_back
+        return self._monitor.confirms
 
     @property
     def plane_views(self) -> tuple[PlaneView, ...]:
@@ -871,7 +870,7 @@ class Pointer:
         """Whether the oldest frame waits for the comparison of the clocks."""
         oldest, newest = self._pending[0], self._pending[-1]
         return (
-            self._holds_back
+            self.holds_back
             and oldest.may_have_point
             and newest.time_s - oldest.time_s < HELD_BACK_S
             and newest.size_bytes * len(self._pending) < HELD_BACK_BYTES

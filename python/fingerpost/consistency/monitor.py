@@ -70,6 +70,9 @@ class Monitor:
     lags
         Lag of each view's clock behind the first one's; None if unknown or none. One that was found
         stands until the tips exclude it: a hand at rest is no evidence of equal clocks.
+    confirms
+        Whether clocks are also shown to agree if no lag was found, which takes some ms more until
+        they are.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -85,6 +88,7 @@ class Monitor:
         self._rates = [_Rate() for _ in names]
         self._agree = [False] * len(names)
         self.lags: list[Lag | None] = [None] * len(names)
+        self.confirms = False
 
     def look(self, seen: Sequence[Frame | Loss | None]) -> list[Frame | Loss | None]:
         """Take the next entry of every view; return it, or None or a `Loss` for a repeated image.
@@ -129,7 +133,8 @@ class Monitor:
         first, other, known = self._tips[0], self._tips[k], self.lags[k]
         lag = lag_between(first, other, self._begun_s)
         if lag is None:
-            if not self._agree[k] and clocks_agree(first, other):
+            is_asked = known is not None or (self.confirms and not self._agree[k])
+            if is_asked and clocks_agree(first, other):
                 self.lags[k], self._agree[k] = None, True
                 self._found[k].clear()
             return

@@ -306,20 +306,20 @@ def pair_rank(
         return CURRENT_PAIR_FACTOR * rank, True
     least, most = MIN_FRAMES[is_foreground]
     too_new = min(trial.frames for trial in trials) < score * least + (1.0 - score) * most
+    has_come = any(trial.is_foreground for trial in trials)
     too_late = any(
-        _is_too_late(trial, has_come=any(t.is_foreground for t in trials), supported=is_supported)
-        for trial in trials
+        _is_too_late(trial, has_come=has_come, is_supported=is_supported) for trial in trials
     )
     may_be_stripe = any(trial.stripe_frames > 0 for trial in trials)
     is_refused = too_late or may_be_stripe or score < MIN_PAIR_SCORE
     return 0.0 if is_refused else rank, not too_new
 
 
-def _is_too_late(trial: Trial, *, has_come: bool, supported: bool) -> bool:
+def _is_too_late(trial: Trial, *, has_come: bool, is_supported: bool) -> bool:
     """Whether a trial is background that would be foreground if it were the hand.
 
-    A hand that was there from the start is background in all views, unless it has moved in those
-    where it is not.
+    A hand that was there from the start is background in all views. One that has come into another
+    view must have moved in this one.
 
     Parameters
     ----------
@@ -327,11 +327,11 @@ def _is_too_late(trial: Trial, *, has_come: bool, supported: bool) -> bool:
         The trial.
     has_come
         Whether a trial of its pair is foreground.
-    supported
+    is_supported
         Whether the other view's finger is validated as a hand.
     """
     if trial.is_foreground:
         return False
-    return (
-        not (trial.has_moved and supported) if trial.is_late else has_come and not trial.has_moved
-    )
+    if trial.is_late:
+        return not (trial.has_moved and is_supported)
+    return has_come and not trial.has_moved
