@@ -11,14 +11,13 @@ from pathlib import Path
 
 import cv2
 import pytest
-from click.testing import CliRunner, Result
+from command_line import invoked
 from distributed import LocalCluster
 from patience import wait_until
 from test_publishing import listening
 from test_workers import children
 
 from fingerpost.batch import run_batch, tasks, work
-from fingerpost.cli import main
 from fingerpost.cluster import cluster_at
 from fingerpost.errors import InvalidInputError
 from fingerpost.recording.picture.palette import STATUSES
@@ -26,10 +25,6 @@ from fingerpost.recording.picture.shares import draw_shares
 from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
 
 FRAMES = 6
-
-
-def invoked(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from command_line import refused
 from live_server import RIG
 from patience import PATIENCE_S, wait_until
 
@@ -38,15 +39,6 @@ def fingerpost(*arguments: object, cwd: Path | None = None) -> subprocess.Comple
         timeout=PATIENCE_S,
         check=False,
     )
-
-
-def refused(*arguments: object) -> str:
-    """Run a command with bad input; return its one-line error."""
-    done = fingerpost(*arguments)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    (line,) = done.stderr.splitlines()
-    return line
 
 
 def test_run_writes_points_and_tracks_and_a_summary(rig_file, tmp_path):

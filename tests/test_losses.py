@@ -6,10 +6,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
+from command_line import invoked
 
 from fingerpost.capture import Frame, Loss, open_source
-from fingerpost.cli import main
 from fingerpost.config import Rig
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import Status
@@ -33,10 +32,6 @@ def damaged(request: pytest.FixtureRequest, recording: Path, tmp_path: Path) -> 
     images = sorted((tmp_path / "copy" / request.param).glob("*.png"))
     images[BROKEN].write_bytes(images[BROKEN].read_bytes()[:500])
     return request.param, tmp_path / "copy" / recording.name
-
-
-def invoked(*arguments: object):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def test_a_picture_that_cannot_be_decoded_is_lost_for_its_view_and_reported(damaged, tmp_path):

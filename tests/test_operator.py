@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_line import invoked
 
 import fingerpost as fp
 from fingerpost.calibration import (
@@ -18,7 +18,6 @@ from fingerpost.calibration import (
     read_stays,
     visits_of,
 )
-from fingerpost.cli import main
 from fingerpost.cli.calibrate_operator import _Prompt, _prompted
 from fingerpost.errors import InvalidInputError
 from fingerpost.habit import Habit
@@ -92,10 +91,6 @@ def table_of(path, fixes):
 def operator(habit=HABIT, name="anna", scatter=0.0):
     noise = np.random.default_rng(4).normal(0, scatter, FIVE.shape) if scatter else 0.0
     return Operator(name, "mm", Habit.of(FIVE, FIVE + habit + noise))
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 # --- pointing at places -----------------------------------------------------------------------
@@ -305,7 +300,7 @@ def test_a_fix_without_a_point_is_returned_unchanged():
 def test_the_command_learns_from_a_table_of_fixes(tmp_path):
     table_of(tmp_path / "points.csv", session(FIVE + HABIT))
     arguments = ["calibrate-operator", rig_file(tmp_path), "--points", tmp_path / "points.csv"]
-    done = run(*arguments, "--operator", "anna")
+    done = invoked(*arguments, "--operator", "anna")
     assert done.exit_code == 0, done.output
     assert re.search(r"habit +(29|30)\.?\d* mm, \w+; scatter", done.output)
     assert re.search(r"t4 +\+2[345][.\d]*, +-1[789][.\d]* ", done.output)
@@ -318,7 +313,7 @@ def test_the_command_learns_from_a_table_of_fixes(tmp_path):
         encoding="utf-8",
     )
     other = tmp_path / "here" / "bob.toml"
-    done = run(*arguments, "--visits", tmp_path / "visits.csv", "--operator", other)
+    done = invoked(*arguments, "--visits", tmp_path / "visits.csv", "--operator", other)
     assert done.exit_code == 0, done.output
     assert Operator.load(other).habit.error([[200, 200]])[0] == pytest.approx(HABIT, abs=JITTER)
 
@@ -343,7 +338,7 @@ def test_unsuitable_calibration_data_is_refused_in_one_line(tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     rig_file(tmp_path)
     table_of(tmp_path / "points.csv", session(FIVE + HABIT))
-    done = run(
+    done = invoked(
         "calibrate-operator", "rig.toml", "--operator", "anna", "--points", "points.csv", *more
     )
     assert done.exit_code == 2, done.output
@@ -365,12 +360,12 @@ def test_a_calibration_from_a_film_corrects_a_run_of_it(tmp_path):
         tmp_path, SimulatedRig(), Trajectory(times_s, samples), frames=54, fps=15.0, rng=3
     )
     film.write_text(film.read_text(encoding="utf-8") + TARGETS, encoding="utf-8")
-    done = run("calibrate-operator", film, "--operator", "anna", "--dwell", "0.2")
+    done = invoked("calibrate-operator", film, "--operator", "anna", "--dwell", "0.2")
     assert done.exit_code == 0, done.output
 
     found = {}
     for name, more in (("raw", []), ("meant", ["--operator", "anna"])):
-        done = run("run", film, "--points", tmp_path / f"{name}.csv", "--max-frames", 6, *more)
+        done = invoked("run", film, "--points", tmp_path / f"{name}.csv", "--max-frames", 6, *more)
         assert done.exit_code == 0, done.output
         (*_, last) = (tmp_path / f"{name}.csv").read_text(encoding="utf-8").splitlines()
         found[name] = np.array(last.split(",")[3:7], np.float64)

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import cv2
 import pytest
-from click.testing import CliRunner, Result
+from command_line import invoked
 
-from fingerpost.cli import main
 from fingerpost.cli.outputs import keep_apart
 from fingerpost.cli.progress import counting
 from fingerpost.errors import InvalidInputError
@@ -18,10 +17,6 @@ from fingerpost.simulate import DevicePose, Placement, SimulatedRig, Trajectory,
 
 FRAMES = 6
 SMALL = ("--targets", 2, "--size", 320, 240)
-
-
-def invoked(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def refused(*arguments: object) -> str:

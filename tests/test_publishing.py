@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 import pytest
 import zenoh
-from click.testing import CliRunner, Result
+from command_line import invoked
 from live_server import RIG, served
 from patience import wait_until
 from pythonosc.dispatcher import Dispatcher
@@ -32,7 +32,6 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from fingerpost.capture import Loss, at_speed
-from fingerpost.cli import main
 from fingerpost.errors import InvalidInputError
 from fingerpost.publishing import SCHEMES, Extent, PublishedFix, Publisher, open_publisher
 from fingerpost.publishing.registry import refuse_unknown
@@ -396,10 +395,6 @@ def rig_file(tmp_path_factory):
     pose = DevicePose.pointing_at((200.0, 200.0), azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0)
     motion = Trajectory.hold(pose, 1.0)
     return write_recording(folder, SimulatedRig(), motion, frames=FRAMES, picture_format="jpg")
-
-
-def invoked(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def test_a_run_publishes_the_values_of_its_table(rig_file, tmp_path):

@@ -7,21 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from command_line import invoked
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from fingerpost.capture import Frame, open_source
-from fingerpost.cli import main
 from fingerpost.mcap_file import Message, Records
 from fingerpost.recording.session import About, Images, Recorder
 
 FRAMES = 40
 CUTS = 40
-
-
-def invoked(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_line import invoked
 from terminals import THE_END, on_a_terminal
 
-from fingerpost.cli import main
 from fingerpost.cli.live_status import LiveStatus
 from fingerpost.cli.progress import StatusLine, cell_count, status_line
 from fingerpost.cli.run_summary import RunSummary
@@ -260,10 +259,6 @@ def rig_file(tmp_path_factory):
     pose = DevicePose.pointing_at((200.0, 200.0), azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0)
     directory = tmp_path_factory.mktemp("recording")
     return write_recording(directory, SimulatedRig(), Trajectory.hold(pose, 1.0), frames=FRAMES)
-
-
-def invoked(*arguments: object):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def test_summary_and_rows_state_reasons(rig_file):

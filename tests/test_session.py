@@ -14,13 +14,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from command_line import invoked, refused
 from live_server import served
 from patience import wait_until
 from recordings import messages
 
 from fingerpost.capture import Frame, Loss, open_source, open_views, read_views
-from fingerpost.cli import main
 from fingerpost.cli.following import SETTING_EXAMPLE, settings_of
 from fingerpost.cli.recorder import open_recorder
 from fingerpost.config import Rig
@@ -32,18 +31,6 @@ from fingerpost.recording.session import About, Images, Recorder
 from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
 
 FRAMES = 8
-
-
-def invoked(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
-def refused(*arguments: object) -> str:
-    done = invoked(*arguments)
-    assert done.exit_code == 2, done.output
-    assert done.stdout == ""
-    (line,) = done.stderr.splitlines()
-    return line
 
 
 def simulated(folder: Path, picture_format: str = "jpg") -> Path:

@@ -90,11 +90,17 @@ class ReferenceSearch:
     images
         Number of images of every view in which a rectangle is searched, ≥ 1; the best result
         counts. One that shows throughout ends the search.
+
+    Attributes
+    ----------
+    candidates
+        Rectangles in the best image of each view, best score first, by index of the view.
     """
 
     def __init__(self, rig: Rig, *, images: int = SEARCHED_IMAGES) -> None:
         self._rig = rig
         self._images = images
+        self.candidates: dict[int, list[Candidate]] = {}
         self._places: dict[int, list[Placed]] = {}
         self._scores: dict[int, float] = {}
         self._decided: set[int] = set()
@@ -164,7 +170,7 @@ class ReferenceSearch:
             found = find_rectangles(picture, sides_of_plane(self._rig), view.lens, near_px)
             if not found or found[0].score <= self._scores.get(k, 0.0):
                 return
-            self._scores[k] = found[0].score
+            self._scores[k], self.candidates[k] = found[0].score, found
             self._places[k] = self._rectangles(found, near_px, picture)
             if shows_throughout(found[0]):
                 self._decided.add(k)

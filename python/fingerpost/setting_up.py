@@ -1,13 +1,14 @@
 """From cameras or films to a rig: detection of references and hand in all views.
 
-The main loop searches for both as in a run; here it stops as soon as they are found.
+References and hand are searched as in a run; the search stops as soon as both are found.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +19,12 @@ from fingerpost.capture import Frame, Loss, is_url, resolve_source
 from fingerpost.config import MarkersReference, Pair, Plane, RectangleReference, Rig, View
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.formats import NAMES, SIZES_MM, UNITS_MM, Size, corners_of, sides_of
-from fingerpost.locating import ReferenceSearch, shows_throughout, sides_of_plane
+from fingerpost.locating import ReferenceSearch, shows_throughout
 from fingerpost.pipeline import Pointer, Step, steps
 from fingerpost.pointing import FingerLine, Status
 from fingerpost.recognition import likelier_size, shows_markers
 from fingerpost.recording.picture import Composition
-from fingerpost.references import contains, find_rectangles
+from fingerpost.references import Candidate, contains
 from fingerpost.uncertainty import largest_sigma
 
 UNIT = "mm"
@@ -202,32 +203,37 @@ def set_up(rig: Rig, frames: Iterator[Sequence[Frame | Loss | None]]) -> SetUp:
     NotFoundError
         The references of a view are in none of its frames.
     """
-    pointer = Pointer(rig)
-    best, most, in_a_row = None, -1, 0
-    why = "no frame of all views could be read"
     newest: dict[int, Frame] = {}
-    for step in steps(pointer, _noting(frames, newest)):
-        why = step.fix.reason
-        if not pointer.sees_plane:
-            continue
+    frames = _noting(frames, newest)
+    search = ReferenceSearch(rig)
+    looks = (
+        search.look({k: one.image for k, one in enumerate(seen) if isinstance(one, Frame)})
+        for seen in frames
+    )
+    found = next(filter(None, looks), None) or search.agreed()  # the best one of a few images
+    if found is None:
+        pictures = [newest[k].image for k in sorted(newest)]
+        reasons = search.missing.values() if newest else ["no frame could be read"]
+        raise NotFoundError("; ".join([*reasons, *_marker_hints(rig, pictures)]))
+    last = [newest.get(k) for k in range(len(rig.views))]
+    pointer = Pointer(found)
+    best = _best_step(pointer, chain([last], frames))
+    return _set_up_from(pointer, best, search.candidates)
+
+
+def _best_step(pointer: Pointer, frames: Iterable[Sequence[Frame | Loss | None]]) -> Step:
+    """Return the first step that confirms a hand, or else the one with most finger lines."""
+    best, most, in_a_row = None, -1, 0
+    for step in steps(pointer, frames):
         count = sum(isinstance(seen.finger, FingerLine) for seen in step.observations)
         count += step.fix.status is Status.OK
-        if count > most and any(seen.frame is not None for seen in step.observations):
+        if count > most:
             best, most = step, count
         in_a_row = in_a_row + 1 if step.fix.status is Status.OK else 0
         if in_a_row == SURE_FRAMES:
-            best = step
-            break
-    if best is not None:
-        return _set_up_from(pointer, best)
-    pictures = {k: frame.image for k, frame in newest.items()}
-    # Of a few images, the newest one decides.
-    found = (
-        ReferenceSearch(rig, images=1).look(pictures) if len(pictures) == len(rig.views) else None
-    )
-    if found is not None:
-        return set_up(found, iter([[newest[k] for k in range(len(rig.views))]]))
-    raise NotFoundError("; ".join([why, *_marker_hints(rig, list(pictures.values()))]))
+            return step
+    assert best is not None  # the first frames have images of all views
+    return best
 
 
 def _noting(
@@ -264,24 +270,22 @@ def _size_hints(rig: Rig, pictures: Sequence[NDArray[np.uint8]]) -> list[str]:
     return [f"the sides fit {better} better than {size}; --plane {better} takes that size"]
 
 
-def _other_rectangles(view: View, size: tuple[float, float], frame: Frame) -> list[Pair]:
+def _other_rectangles(view: View, candidates: Sequence[Candidate]) -> list[Pair]:
     """Return the middles of rectangles beside the one found, unless a person chose it [px]."""
     if not isinstance(view.reference, RectangleReference) or view.reference.near_px is not None:
         return []
     chosen = np.array(view.reference_points_px, np.float64)
-    middles = [
-        candidate.sides.corners_px.mean(axis=0)
-        for candidate in find_rectangles(frame.image, size, view.lens)
-        if shows_throughout(candidate)
-    ]
+    middles = [one.sides.corners_px.mean(axis=0) for one in candidates if shows_throughout(one)]
     return [(u, v) for u, v in middles if not contains(chosen, np.array([u, v]))]
 
 
-def _set_up_from(pointer: Pointer, best: Step) -> SetUp:
+def _set_up_from(
+    pointer: Pointer, best: Step, candidates: Mapping[int, Sequence[Candidate]]
+) -> SetUp:
     rig, views = pointer.rig, [seen.plane_view for seen in best.observations]
     composition = Composition(pointer.plane_views, unit=rig.plane.unit)
     lines, without = [], []
-    for view, seen in zip(rig.views, best.observations, strict=True):
+    for k, (view, seen) in enumerate(zip(rig.views, best.observations, strict=True)):
         corners = ", ".join(f"({u:.1f}, {v:.1f})" for u, v in view.reference_points_px)
         sigma_px = max(map(largest_sigma, view.reference_covariances(1.0)))
         hand = "no hand"
@@ -291,12 +295,11 @@ def _set_up_from(pointer: Pointer, best: Step) -> SetUp:
         else:
             without.append(view.name)
         lines.append(f'view "{view.name}": corners {corners} ± {sigma_px:.2f} px; {hand}')
-        if seen.frame is not None:
-            lines += [
-                f'view "{view.name}": another such rectangle is about ({u:.0f}, {v:.0f}); '
-                f"--near {view.name}={u:.0f},{v:.0f} takes it"
-                for u, v in _other_rectangles(view, sides_of_plane(rig), seen.frame)
-            ]
+        lines += [
+            f'view "{view.name}": another such rectangle is about ({u:.0f}, {v:.0f}); '
+            f"--near {view.name}={u:.0f},{v:.0f} takes it"
+            for u, v in _other_rectangles(view, candidates.get(k, ()))
+        ]
     picture = composition.draw(best.observations, best.fix, plane_views=views)
     pictures = [seen.frame.image for seen in best.observations if seen.frame is not None]
     hints = _marker_hints(rig, pictures) or _size_hints(rig, pictures)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections import defaultdict
 
+import command_line
 import numpy as np
 import pytest
 from guided_process import (
@@ -116,13 +117,9 @@ def test_json_lines_report_lag_and_goal(rig):
 # Refusals: exit code 2, one line, no motion.
 
 
-def refused(*arguments, cwd=None):
+def refused(*arguments):
     by_hand = () if "--attendance" in arguments else BY_HAND
-    with Guided(*arguments, *by_hand, cwd=cwd) as guided:
-        assert guided.end() == 2, guided.said()
-    (line,) = guided.said().splitlines()
-    assert guided.out == ""
-    return line
+    return command_line.refused("robot", *arguments, *by_hand)
 
 
 def test_nothing_moves_without_the_explicit_command(rig):

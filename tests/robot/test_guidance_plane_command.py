@@ -8,12 +8,11 @@ from types import SimpleNamespace
 import click
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_line import invoked, refused
 from guidance_scene import HEIGHT_M, NAMES, REGION_M, draw_marker, pixel, table
 from guided_process import STOPPED_S, EmulatedArm, Guided, JpegStreams, commands, jpeg
 
 from fingerpost.capture import Frame, SourceKind
-from fingerpost.cli import main
 from fingerpost.cli.robot_plane import _asking
 from fingerpost.config import Rig
 from fingerpost.errors import RecordingError
@@ -171,7 +170,7 @@ def test_a_log_error_at_the_last_stop_loses_no_plane(tmp_path, monkeypatch):
     monkeypatch.setattr("fingerpost.cli.robot_plane.open_log", lambda *_: log)
     cameras, output = write_cameras(tmp_path, ["a.mp4", "b.mp4"]), tmp_path / "plane.toml"
     command = ("robot", "plane", cameras, "sim://?homing_s=0", *PLACE, "--arm", "-o", output)
-    ended = CliRunner().invoke(main, list(map(str, command)))
+    ended = invoked(*command)
     assert ended.exit_code == 1
     assert "9 of 9 places" in ended.output
     assert ended.output.splitlines()[-1].endswith("No space left on device")
@@ -197,13 +196,6 @@ def test_an_invalid_pixel_is_asked_for_again(tmp_path, monkeypatch, capsys):
     assert "(3200, 240), outside the image of 64 x 48 px" in outside
     assert "finite" in not_finite
     assert "two numbers" in not_two
-
-
-def refused(*arguments):
-    with Guided(*arguments) as guided:
-        assert guided.end() == 2, guided.said()
-    (line,) = guided.said().splitlines()
-    return line
 
 
 @pytest.mark.parametrize(
@@ -238,12 +230,12 @@ def refused(*arguments):
 def test_unusable_options_are_refused_before_anything_moves(tmp_path, change, words):
     cameras = write_cameras(tmp_path, ["a.mp4", "b.mp4"])
     options = ("-o", tmp_path / "plane.toml", "--arm", *PLACE, *change)
-    assert words in refused("plane", cameras, "acl:///dev/nothing", *options)
+    assert words in refused("robot", "plane", cameras, "acl:///dev/nothing", *options)
 
 
 def test_region_and_consent_are_needed(tmp_path, hand_film):
     cameras = hand_film / "rig.toml"
     output = ("-o", tmp_path / "plane.toml")
-    assert "--region" in refused("plane", cameras, "sim://", *output, "--arm")
-    assert "--arm" in refused("plane", cameras, "sim://", *output, *PLACE)
-    assert "recording" in refused("plane", cameras, "sim://", *output, *PLACE, "--arm")
+    assert "--region" in refused("robot", "plane", cameras, "sim://", *output, "--arm")
+    assert "--arm" in refused("robot", "plane", cameras, "sim://", *output, *PLACE)
+    assert "recording" in refused("robot", "plane", cameras, "sim://", *output, *PLACE, "--arm")

@@ -314,14 +314,20 @@ def _support(lines: list[Line], t: Array, extents: Array, sides: NDArray[np.intp
     """
     seen = np.clip(t, extents[:, :1], extents[:, 1:])
     covered = np.stack([_covered(line.intervals, at) for line, at in zip(lines, seen, strict=True)])
+    # Of all sides: a line (first axis) from where one line crosses it to where another one does.
+    total, shown = (np.abs(at[:, None] - at[:, :, None]) for at in (seen, covered))
+    counts = (shown > 0.5 * LEAST_SIDE * total) & (total > 5.0)
     before, after = np.roll(sides, 1, axis=1), np.roll(sides, -1, axis=1)
-    total = np.abs(seen[sides, after] - seen[sides, before])
-    shown = np.abs(covered[sides, after] - covered[sides, before])
-    counts = (shown > 0.5 * LEAST_SIDE * total).all(axis=1) & (total > 5.0).all(axis=1)
-    scores = shown.sum(axis=1) - BARE_COST * (total - shown).sum(axis=1)
-    inward = np.sign(t[sides, after] - t[sides, before]).sum(axis=1)
-    scores *= np.where(np.abs(inward) == 4.0, 1.0, MIXED)
-    return np.where(counts, np.maximum(scores, 0.0), 0.0)
+    scores = np.zeros(len(sides))
+    some = np.arange(len(sides))
+    for k in range(4):
+        some = some[counts[sides[some, k], before[some, k], after[some, k]]]
+    chosen = sides[some], before[some], after[some]
+    shown, total = shown[chosen], total[chosen]
+    gains = shown.sum(axis=1) - BARE_COST * (total - shown).sum(axis=1)
+    inward = np.sign(t[chosen[0], chosen[2]] - t[chosen[0], chosen[1]]).sum(axis=1)
+    scores[some] = np.maximum(gains * np.where(np.abs(inward) == 4.0, 1.0, MIXED), 0.0)
+    return scores
 
 
 def _covered(intervals: Array, t: Array) -> Array:

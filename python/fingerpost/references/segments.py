@@ -43,6 +43,8 @@ LIGHT = np.array([1.0, 0.6, 0.3])
 BESIDE_PX = 3.0
 """Distance from a segment at which the levels of its two sides are sampled."""
 
+_REFITS = 3
+
 
 @dataclass(frozen=True, eq=False)
 class Line:
@@ -155,20 +157,22 @@ def _merged(segments: Array, contrasts: Array) -> list[Line]:
     for k in range(len(segments)):
         if not is_free[k]:
             continue
+        free = np.flatnonzero(is_free)
         members = np.array([k])
-        for _ in range(3):
+        for _ in range(_REFITS):
             point, direction = _through(segments[members], lengths[members])
             normal = np.array([-direction[1], direction[0]])
-            off_px = np.abs((segments - point) @ normal).max(axis=1)
-            turned = angles - np.arctan2(direction[1], direction[0])
+            off_px = np.abs((segments[free] - point) @ normal).max(axis=1)
+            turned = angles[free] - np.arctan2(direction[1], direction[0])
             turned = np.abs((turned + np.pi) % (2.0 * np.pi) - np.pi)
-            agrees = is_free & (off_px < COLLINEAR_PX) & (turned < COLLINEAR_RAD)
-            agrees[k] = True
-            if np.array_equal(np.flatnonzero(agrees), members):
+            agrees = (off_px < COLLINEAR_PX) & (turned < COLLINEAR_RAD)
+            agrees |= free == k
+            before, members = members, free[agrees]
+            if np.array_equal(before, members):
                 break
-            members = np.flatnonzero(agrees)
+        else:
+            point, direction = _through(segments[members], lengths[members])
         is_free[members] = False
-        point, direction = _through(segments[members], lengths[members])
         spans = np.sort((segments[members] - point) @ direction, axis=1)
         contrast = float(np.median(contrasts[members]))
         lines.append(Line(point, direction, _union(spans), contrast))
