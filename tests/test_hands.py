@@ -12,10 +12,12 @@ import fingerpost as fp
 from fingerpost._core import Background
 from fingerpost.capture import Frame, open_views, read_views
 from fingerpost.config import Rig
+from fingerpost.finding.body import Body
 from fingerpost.finding.foreground import foreground_ahead
 from fingerpost.finding.pixel_tests import is_stripe
 from fingerpost.finding.tip import SHORT_SIGMA, TipTest
 from fingerpost.pipeline import Pointer
+from fingerpost.silhouette import Silhouette
 from fingerpost.simulate import Background as Scenery
 from fingerpost.simulate import Hand, SimulatedRig, figure_eight, pointing_session
 from fingerpost.simulated_rig_file import rig_from_simulation
@@ -101,7 +103,7 @@ def test_the_axis_sigma_is_raised_while_the_finger_extends_beyond_the_tip():
             likely, abs=0.1
         )
         for _ in range(10):
-            test.update(background, seen, RIGHTWARDS, HALF_WIDTH_PX)
+            test.update(background, seen, RIGHTWARDS, HALF_WIDTH_PX, Body.none())
         assert test.sigma == sigma
 
 
@@ -119,8 +121,23 @@ def test_contrast_ahead_of_the_tip_raises_the_sigma_before_a_background_is_known
     test = TipTest()
     seen = frame(band(on=band(**ahead)))
     for _ in range(3):
-        test.update(Background(), seen, RIGHTWARDS, HALF_WIDTH_PX)
+        test.update(Background(), seen, RIGHTWARDS, HALF_WIDTH_PX, Body.none())
         assert test.sigma == sigma
+
+
+@pytest.mark.parametrize("is_known", [True, False], ids=["known table", "unknown table"])
+def test_a_robot_ahead_of_the_tip_is_no_part_of_the_finger(is_known):
+    background, test = learned() if is_known else Background(), TipTest()
+    u, v = RIGHTWARDS.tip_px
+    ahead_px = np.array([[u + 1.5 * HALF_WIDTH_PX, v]])
+    gripper = Body(Silhouette(ahead_px, np.array([HALF_WIDTH_PX])))
+    seen = frame(band(ends_at=200, on=band(ends_at=218, of=NAIL)))
+    background.look(seen.grey())
+    for _ in range(10):
+        test.update(background, seen, RIGHTWARDS, HALF_WIDTH_PX, gripper)
+    assert test.sigma == 0.0
+    test.update(background, seen, RIGHTWARDS, HALF_WIDTH_PX, Body.none())
+    assert test.sigma == SHORT_SIGMA
 
 
 def followed(rig, frames):

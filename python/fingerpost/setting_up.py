@@ -206,11 +206,11 @@ def set_up(rig: Rig, frames: Iterator[Sequence[Frame | Loss | None]]) -> SetUp:
     newest: dict[int, Frame] = {}
     frames = _noting(frames, newest)
     search = ReferenceSearch(rig)
-    looks = (
+    results = (
         search.look({k: one.image for k, one in enumerate(seen) if isinstance(one, Frame)})
         for seen in frames
     )
-    found = next(filter(None, looks), None) or search.agreed()  # the best one of a few images
+    found = next(filter(None, results), None) or search.agreed()  # the best one of a few images
     if found is None:
         pictures = [newest[k].image for k in sorted(newest)]
         reasons = search.missing.values() if newest else ["no frame could be read"]

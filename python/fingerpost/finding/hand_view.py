@@ -585,7 +585,8 @@ class HandView:
         """Update the axis correction from what is ahead of the tip in a frame."""
         half_width_px = fitted_half_width_px(self.track)
         if frame is not None and self.line is not None and half_width_px is not None:
-            self._followed.tip.update(self.search.background, frame, self.line, half_width_px)
+            background = self.search.background
+            self._followed.tip.update(background, frame, self.line, half_width_px, self._body)
 
     def validate(self, others: Sequence[HandView], shared: PairTests) -> bool:
         """Return False for a followed finger after frames without support by another view.

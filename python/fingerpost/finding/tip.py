@@ -10,7 +10,9 @@ import math
 
 from fingerpost._core import Background, FingerLine
 from fingerpost.capture import Frame
-from fingerpost.finding.foreground import MIN_FOREGROUND, foreground_ahead
+from fingerpost.finding.body import Body
+from fingerpost.finding.finger import places_about
+from fingerpost.finding.foreground import AHEAD, BESIDE_AXIS, MIN_FOREGROUND, foreground_ahead
 from fingerpost.finding.pixel_tests import contrast_ahead
 
 SHORT_SIGMA = 0.1
@@ -42,9 +44,21 @@ class TipTest:
         return SHORT_SIGMA if self._ahead >= MIN_FOREGROUND else 0.0
 
     def update(
-        self, background: Background, frame: Frame, line: FingerLine, half_width_px: float
+        self,
+        background: Background,
+        frame: Frame,
+        line: FingerLine,
+        half_width_px: float,
+        body: Body,
     ) -> None:
-        """Test a frame; one without evidence changes nothing."""
+        """Test a frame; one without evidence changes nothing.
+
+        There is none where a moving body of the system is ahead of the tip, or covers it: that is
+        foreground, but no finger.
+        """
+        ahead_px = places_about(line, half_width_px, AHEAD, BESIDE_AXIS)
+        if body.covers(ahead_px.reshape(-1, 2)).any():
+            return
         ahead = foreground_ahead(background, frame, line, half_width_px)
         if not math.isfinite(ahead):  # the background is unknown
             ahead = min(contrast_ahead(frame, line, half_width_px) / MIN_CONTRAST, 1.0)
