@@ -342,3 +342,26 @@ def test_ellipses_hold_with_an_uncorrected_lens():
             held.append(off @ np.linalg.solve(last.fix.covariance, off) <= 5.99)
     assert len(held) >= 3
     assert np.mean(held) >= 0.75
+
+
+@pytest.mark.parametrize(("off_px", "seed"), [(20.0, 2), (45.0, 0), (45.0, 2)])
+def test_ellipses_hold_where_points_may_be_off(off_px, seed):
+    """Points of one view, each off on its own, on a table without corners: no correction fits."""
+    simulated = SimulatedRig(
+        Placement(azimuths_deg=(-22.0, 10.0)), device=Hand(), background=PRINTED
+    )
+    rng = np.random.default_rng(seed)
+    turn = rng.uniform(0, 2 * np.pi, 4)
+    off = off_px * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    target = rng.uniform(140, 260, 2)
+    pose = DevicePose.pointing_at(target, slant_deg=50.0, hover_mm=80.0)
+    starts = [view.finger.start() for view in simulated.truth(pose).views]
+    rig = rig_from_simulation(simulated, starts=starts)
+    assert run(rig, simulated.render(pose, rng=rng).images, 8)[-1].fix.status is Status.OK
+    wrong = with_points(rig, {1: given(rig)[1] + off})
+    fix = run(wrong, simulated.render(pose, rng=rng).images, 8)[-1].fix
+    if fix.status is Status.OK:
+        error = fix.point - target
+        assert error @ np.linalg.solve(fix.covariance, error) <= 5.99
+    else:
+        assert fix.status is Status.ILL_CONDITIONED

@@ -502,6 +502,20 @@ class View(_Table, kw_only=True, frozen=True):
             return np.tile(otherwise_sigma_px**2 * np.eye(2), (len(self.reference_points_px), 1, 1))
         return np.array([[[uu, uv], [uv, vv]] for uu, uv, vv in self.reference_covariances_px2])
 
+    def with_wider_references(self, otherwise_sigma_px: float, sigma_px: float) -> Self:
+        """Return this view with an independent error added to each reference point.
+
+        Parameters
+        ----------
+        otherwise_sigma_px
+            As for `reference_covariances`.
+        sigma_px
+            Standard deviation of either coordinate of the error [px].
+        """
+        wider = self.reference_covariances(otherwise_sigma_px) + sigma_px**2 * np.eye(2)
+        cells = tuple((float(c[0, 0]), float(c[0, 1]), float(c[1, 1])) for c in wider)
+        return msgspec.structs.replace(self, reference_covariances_px2=cells)
+
     def recorded_as(self, source: str) -> Self:
         """Return this view for a recording, whose frames are already transformed and retimed."""
         return msgspec.structs.replace(

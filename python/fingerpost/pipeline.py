@@ -725,7 +725,9 @@ class Pointer:
         )
 
     def _compare_scenery(self, seen: Sequence[Frame | Loss | None]) -> None:
-        """Refuse reference points that contradict the first frames, and warn of doubtful ones.
+        """Refuse reference points that contradict the first frames.
+
+        Doubtful ones are warned of, and their covariance is enlarged.
 
         Raises
         ------
@@ -751,6 +753,10 @@ class Pointer:
             if mistake.is_certain:
                 raise InvalidInputError(words)
             _log.warning("%s", words)
+            for k, off_px in mistake.off_px.items():
+                view, sigma_px = self._rig_views[k], self._reference_sigma_px
+                self._rig_views[k] = view.with_wider_references(sigma_px, off_px)
+                self._begin(k)
         for k, bend in scenery.bends().items():
             view = self._rig_views[k]
             _log.warning('view "%s": %s; %s', view.name, bend.what, bend.right)

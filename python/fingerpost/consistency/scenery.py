@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, permutations
 
@@ -113,6 +113,9 @@ class Mistake:
     is_certain
         Whether it is a common mistake, and the texture in all views confirms it; otherwise only
         corners are evidence, or it is unknown which view is wrong.
+    off_px
+        Standard deviation of the error of either coordinate that the points of a view may have
+        [px], by index; empty if the mistake is certain.
     """
 
     what: str
@@ -120,6 +123,7 @@ class Mistake:
     agreement: float
     as_given: float
     is_certain: bool
+    off_px: dict[int, float] = field(default_factory=dict)
 
     def advice(self, rig: Rig) -> str:
         """Return the corrected lines of the rig file, and how sure they are."""
@@ -274,7 +278,17 @@ class Scenery:
         if found is None:
             return self._unexplained(as_given)
         whole_px = {k: self._reductions[k].whole(points) for k, points in found.points_px.items()}
-        return replace(found, points_px=whole_px)
+        off_px = {} if found.is_certain else self._doubt_px(found.points_px)
+        return replace(found, points_px=whole_px, off_px=off_px)
+
+    def _doubt_px(self, points_px: dict[int, Array]) -> dict[int, float]:
+        """Return how far off the points of each view may be, given a correction of some [px].
+
+        Texture alone relates the first view to the others: either one may be wrong.
+        """
+        off = {k: points - self._given[k] for k, points in points_px.items()}
+        largest_px = max(float(np.sqrt(np.square(one).mean())) for one in off.values())
+        return {k: self._reductions[k].factor * largest_px for k in {0, *off}}
 
     def _unexplained(self, as_given: float) -> Mistake | None:
         """Return a mistake without a correction if all views show texture, but another one."""
@@ -284,7 +298,8 @@ class Scenery:
         if as_given >= DISAGREES or not has_texture:
             return None
         what = "the views do not show the same table between their points: those of one are off"
-        return Mistake(what, {}, as_given, as_given, False)
+        off_px = {k: one.factor * FURTHEST_PX for k, one in enumerate(self._reductions)}
+        return Mistake(what, {}, as_given, as_given, False, off_px)
 
     def _best_by_agreement(
         self,

@@ -7,6 +7,7 @@ Brown 1971) is the lens's, if it reduces the residuals sufficiently.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -95,15 +96,9 @@ class Bend:
         sigma_px
             Standard deviation of reference points that come without a covariance [px].
         """
-        left_px2 = 0.5 * (LEFT_PART * self.off_px) ** 2
-        covariances = view.reference_covariances(sigma_px) + left_px2 * np.eye(2)
-        covariances_px2 = tuple(
-            (float(c[0, 0]), float(c[0, 1]), float(c[1, 1])) for c in covariances
-        )
+        left_px = math.sqrt(0.5) * LEFT_PART * self.off_px
         lens = LensParameters.of(self.lens)
-        return structs.replace(
-            view, reference_covariances_px2=covariances_px2, lens_parameters=lens
-        )
+        return structs.replace(view.with_wider_references(sigma_px, left_px), lens_parameters=lens)
 
 
 def bend_of(
