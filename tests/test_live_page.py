@@ -426,6 +426,10 @@ def test_the_demo_plays_the_clip_to_its_end_and_again(browser):
         page.at(int(page.page.get_attribute("#scrub", "max")) - 5)
         page.press("p")
         page.until("document.querySelector('#message').textContent.includes('P plays it again')")
+        page.page.set_viewport_size({"width": PHONE[0], "height": PHONE[1]})
+        shown = "document.querySelector('#message')"
+        assert page.page.evaluate(f"{shown}.scrollWidth <= {shown}.clientWidth")
+        assert page.page.evaluate(f"{shown}.scrollHeight <= {shown}.clientHeight")
         page.press("p")
         page.until("Number(document.querySelector('#clock').textContent.match(/\\d+$/)[0]) < 60")
         page.close()
