@@ -358,7 +358,7 @@ def _marks(lines: SearchLines) -> SearchMarks:
 HELD_BACK_S = 3.0
 """Longest wait of a recording's frames for a motion that compares the clocks of its views [s]."""
 
-HELD_BACK_BYTES = 300_000_000
+HELD_BACK_BYTES = 512_000_000
 """Greatest size of the images that wait."""
 
 
