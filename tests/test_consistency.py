@@ -10,6 +10,7 @@ from msgspec import structs
 from fingerpost.capture import Frame
 from fingerpost.config import Rig
 from fingerpost.consistency import Scenery
+from fingerpost.consistency.straightness import BENT_PX
 from fingerpost.doctor import examine
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import Pointer, steps
@@ -318,6 +319,16 @@ def test_lens_distortion_is_estimated_from_straight_sides(k1):
     assert set(bends) == {0, 1}
     for bend in bends.values():
         # The focal length is assumed, and k1 is proportional to its square.
+        assert bend.lens.k1 * (640.0 / bend.lens.fx) ** 2 == pytest.approx(k1, abs=0.08)
+
+
+def test_a_lens_that_bends_one_image_is_expected_in_the_other():
+    placement = Placement(distance_m=0.75, f_px=640.0, k1=(-0.25, -0.12))
+    simulated = SimulatedRig(placement, background=SHEET_ON_WOOD)
+    rig, pictures = rig_from_simulation(simulated), simulated.render(None, rng=0).images
+    bends = Scenery(rig, pictures).bends()
+    assert bends[1].bent_px < BENT_PX < bends[0].bent_px
+    for bend, k1 in zip(bends.values(), (-0.25, -0.12), strict=True):
         assert bend.lens.k1 * (640.0 / bend.lens.fx) ** 2 == pytest.approx(k1, abs=0.08)
 
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from fingerpost.config import Rig
 from fingerpost.consistency.contradiction import Contradiction
-from fingerpost.consistency.straightness import Bend, bend_of
+from fingerpost.consistency.straightness import BENT_PX, LESS_BENT_PX, Bend, bend_of
 from fingerpost.errors import FingerpostError
 from fingerpost.finding.pairs import Viewpoint
 from fingerpost.homography import transfer_to_image
@@ -226,13 +226,19 @@ class Scenery:
         return int((~is_plain & (2 * counts >= cells.shape[1])).sum())
 
     def bends(self) -> dict[int, Bend]:
-        """Return the detected distortion of views without a given lens, by index."""
+        """Return the detected distortion of views without a given lens, by index.
+
+        Cameras of a rig are mostly of one kind: where one bends its image, less is needed to
+        attribute the curvature in the others to their lenses.
+        """
+        return self._bends(BENT_PX) and self._bends(LESS_BENT_PX)
+
+    def _bends(self, least_px: float) -> dict[int, Bend]:
         found = {}
         for k, view in enumerate(self._rig.views):
             if view.lens is None:
-                bend = bend_of(
-                    self._stills[k], self._plane_points, self._given[k], self._reductions[k]
-                )
+                still, given = self._stills[k], self._given[k]
+                bend = bend_of(still, self._plane_points, given, self._reductions[k], least_px)
                 if bend is not None:
                     found[k] = bend
         return found

@@ -24,7 +24,9 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 BENT_PX = 0.4
-"""Least root mean square curvature of the sides that is attributed to the lens [px]."""
+LESS_BENT_PX = 0.2
+"""Least root mean square curvature of the sides that is attributed to the lens [px], and that where
+another view's lens bends its image. Edges of straight sides are 0.05 to 0.15 px off a line."""
 
 TIMES_STRAIGHTER = 2.0
 """Least ratio of the residuals without and with the lens."""
@@ -102,7 +104,11 @@ class Bend:
 
 
 def bend_of(
-    still: Grey, plane_points: Array, points_px: Array, reduction: Reduction
+    still: Grey,
+    plane_points: Array,
+    points_px: Array,
+    reduction: Reduction,
+    least_px: float = BENT_PX,
 ) -> Bend | None:
     """Estimate the radial distortion from the sides between reference points; None if negligible.
 
@@ -116,6 +122,8 @@ def bend_of(
         (N, 2) Reference points on the plane and in it.
     reduction
         Its reduction; the result is in pixels of the full image.
+    least_px
+        Least curvature of the sides that is attributed to the lens [px].
     """
     import cv2
 
@@ -126,7 +134,7 @@ def bend_of(
     if len(sides) < LEAST_SIDES:
         return None
     bent_px = _crookedness_px(sides)
-    if bent_px < BENT_PX:
+    if bent_px < least_px:
         return None
     height, width = still.shape
     lenses = [
