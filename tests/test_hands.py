@@ -13,7 +13,7 @@ from fingerpost._core import Background
 from fingerpost.capture import Frame, open_views, read_views
 from fingerpost.config import Rig
 from fingerpost.finding.body import Body
-from fingerpost.finding.foreground import foreground_ahead
+from fingerpost.finding.foreground import foreground_ahead, places_ahead
 from fingerpost.finding.pixel_tests import is_stripe
 from fingerpost.finding.tip import SHORT_SIGMA, TipTest
 from fingerpost.pipeline import Pointer
@@ -99,9 +99,8 @@ def test_the_axis_sigma_is_raised_while_the_finger_extends_beyond_the_tip():
     whole = frame(band())
     for seen, likely, sigma in ((nail, 1.0, SHORT_SIGMA), (whole, 0.0, 0.0)):
         background.look(seen.grey())
-        assert foreground_ahead(background, seen, RIGHTWARDS, HALF_WIDTH_PX) == pytest.approx(
-            likely, abs=0.1
-        )
+        ahead_px = places_ahead(RIGHTWARDS, HALF_WIDTH_PX)
+        assert foreground_ahead(background, seen, ahead_px) == pytest.approx(likely, abs=0.1)
         for _ in range(10):
             test.update(background, seen, RIGHTWARDS, HALF_WIDTH_PX, Body.none())
         assert test.sigma == sigma

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import cv2
 import pytest
-from command_line import invoked
+from command_line import invoked, refused
 
 from fingerpost.cli.outputs import keep_apart
 from fingerpost.cli.progress import counting
@@ -17,15 +17,6 @@ from fingerpost.simulate import DevicePose, Placement, SimulatedRig, Trajectory,
 
 FRAMES = 6
 SMALL = ("--targets", 2, "--size", 320, 240)
-
-
-def refused(*arguments: object) -> str:
-    """Return the only line of output, with which a command refuses bad input."""
-    done = invoked(*arguments)
-    assert done.exit_code == 2, done.output
-    assert done.stdout == ""
-    (line,) = done.stderr.splitlines()
-    return line
 
 
 def recorded(folder: Path, picture_format: str) -> Path:

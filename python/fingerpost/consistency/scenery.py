@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from fingerpost.config import Rig
 from fingerpost.consistency.contradiction import Contradiction
-from fingerpost.consistency.straightness import BENT_PX, LESS_BENT_PX, Bend, bend_of
+from fingerpost.consistency.straightness import BENT_PX, Bend, bend_of
 from fingerpost.errors import FingerpostError
 from fingerpost.finding.pairs import Viewpoint
 from fingerpost.homography import transfer_to_image
@@ -231,17 +231,15 @@ class Scenery:
         Cameras of a rig are mostly of one kind: where one bends its image, less is needed to
         attribute the curvature in the others to their lenses.
         """
-        return self._bends(BENT_PX) and self._bends(LESS_BENT_PX)
-
-    def _bends(self, least_px: float) -> dict[int, Bend]:
         found = {}
         for k, view in enumerate(self._rig.views):
             if view.lens is None:
                 still, given = self._stills[k], self._given[k]
-                bend = bend_of(still, self._plane_points, given, self._reductions[k], least_px)
+                bend = bend_of(still, self._plane_points, given, self._reductions[k])
                 if bend is not None:
                     found[k] = bend
-        return found
+        is_bent = any(b.bent_px >= BENT_PX * self._reductions[k].factor for k, b in found.items())
+        return found if is_bent else {}
 
     def same_pictures(self) -> Contradiction | None:
         """Return a contradiction if two views show the same picture, as two cameras never do."""

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 BENT_PX = 0.4
-LESS_BENT_PX = 0.2
+LEAST_BENT_PX = 0.2
 """Least root mean square curvature of the sides that is attributed to the lens [px], and that where
 another view's lens bends its image. Edges of straight sides are 0.05 to 0.15 px off a line."""
 
@@ -104,13 +104,11 @@ class Bend:
 
 
 def bend_of(
-    still: Grey,
-    plane_points: Array,
-    points_px: Array,
-    reduction: Reduction,
-    least_px: float = BENT_PX,
+    still: Grey, plane_points: Array, points_px: Array, reduction: Reduction
 ) -> Bend | None:
-    """Estimate the radial distortion from the sides between reference points; None if negligible.
+    """Estimate the radial distortion from the sides between reference points.
+
+    None if the curvature is below `LEAST_BENT_PX`, or the lens does not straighten the sides.
 
     None as well without edges along the sides, as between marks on a bare table.
 
@@ -122,8 +120,6 @@ def bend_of(
         (N, 2) Reference points on the plane and in it.
     reduction
         Its reduction; the result is in pixels of the full image.
-    least_px
-        Least curvature of the sides that is attributed to the lens [px].
     """
     import cv2
 
@@ -134,7 +130,7 @@ def bend_of(
     if len(sides) < LEAST_SIDES:
         return None
     bent_px = _crookedness_px(sides)
-    if bent_px < least_px:
+    if bent_px < LEAST_BENT_PX:
         return None
     height, width = still.shape
     lenses = [

@@ -92,16 +92,18 @@ BESIDE_AXIS = np.linspace(-0.4, 0.4, 3)
 """Sample positions ahead of a tip, along and across the axis [half-widths]."""
 
 
-def foreground_ahead(
-    background: Background, frame: Frame, line: FingerLine, half_width_px: float
-) -> float:
-    """Return the mean foreground probability just ahead of a finger's tip; NaN if unknown.
+def places_ahead(line: FingerLine, half_width_px: float) -> Array:
+    """Return places just ahead of a finger's tip, (N, 2) [px]."""
+    return places_about(line, half_width_px, AHEAD, BESIDE_AXIS).reshape(-1, 2)
+
+
+def foreground_ahead(background: Background, frame: Frame, ahead_px: Array) -> float:
+    """Return the mean foreground probability of places ahead of a tip; NaN if unknown.
 
     In films it is below 0.1 ahead of nearly every fingertip, and above 0.6 ahead of a contour that
     ends at a dark nail or with a glove.
     """
-    places = places_about(line, half_width_px, AHEAD, BESIDE_AXIS)
-    return _likely(background, frame, places.reshape(-1, 2))
+    return _likely(background, frame, ahead_px)
 
 
 def _likely(background: Background, frame: Frame, places: Array) -> float:

@@ -11,8 +11,7 @@ import math
 from fingerpost._core import Background, FingerLine
 from fingerpost.capture import Frame
 from fingerpost.finding.body import Body
-from fingerpost.finding.finger import places_about
-from fingerpost.finding.foreground import AHEAD, BESIDE_AXIS, MIN_FOREGROUND, foreground_ahead
+from fingerpost.finding.foreground import MIN_FOREGROUND, foreground_ahead, places_ahead
 from fingerpost.finding.pixel_tests import contrast_ahead
 
 SHORT_SIGMA = 0.1
@@ -56,10 +55,10 @@ class TipTest:
         There is none where a moving body of the system is ahead of the tip, or covers it: that is
         foreground, but no finger.
         """
-        ahead_px = places_about(line, half_width_px, AHEAD, BESIDE_AXIS)
-        if body.covers(ahead_px.reshape(-1, 2)).any():
+        ahead_px = places_ahead(line, half_width_px)
+        if body.covers(ahead_px).any():
             return
-        ahead = foreground_ahead(background, frame, line, half_width_px)
+        ahead = foreground_ahead(background, frame, ahead_px)
         if not math.isfinite(ahead):  # the background is unknown
             ahead = min(contrast_ahead(frame, line, half_width_px) / MIN_CONTRAST, 1.0)
         if math.isfinite(ahead):

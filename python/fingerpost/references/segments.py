@@ -43,8 +43,6 @@ LIGHT = np.array([1.0, 0.6, 0.3])
 BESIDE_PX = 3.0
 """Distance from a segment at which the levels of its two sides are sampled."""
 
-_REFITS = 3
-
 
 @dataclass(frozen=True, eq=False)
 class Line:
@@ -159,7 +157,7 @@ def _merged(segments: Array, contrasts: Array) -> list[Line]:
             continue
         free = np.flatnonzero(is_free)
         members = np.array([k])
-        for _ in range(_REFITS):
+        for _ in range(3):
             point, direction = _through(segments[members], lengths[members])
             normal = np.array([-direction[1], direction[0]])
             off_px = np.abs((segments[free] - point) @ normal).max(axis=1)
