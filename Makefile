@@ -64,13 +64,12 @@ help: ## list the targets
 demo: $(if $(wildcard $(STAMPS)/extension),$(STAMPS)/extension,$(STAMPS)/installed) ## the main job with nothing plugged in: pictures, a table, a summary
 	$(BIN)/fingerpost demo
 
-# What Rust's tests need and what Python's need are built apart, and so at one time: Rust's are
-# compiled while Python's packages are installed. A file's tests stay in one process: they share
-# footage. Files keep their order: tests of robots, which mostly wait, come first and beside one
-# another, and small files come last. With three processes, two cores had nothing to do in a fifth
-# of the time.
+# What Rust's tests need and what Python's need are built apart, and so at one time. A file's tests
+# stay in one process: they share footage. Files keep their order: tests of robots, which mostly
+# wait, come first and beside one another, and small files come last. With three processes, two
+# cores had nothing to do in a fifth of the time.
 test: ## every check there is, in both languages
-	$(MAKE) --no-print-directory --jobs 2 test-rust lint instructions
+	$(MAKE) --no-print-directory --jobs 2 lint test-rust instructions
 	$(BIN)/python -m pytest --numprocesses 5 --dist loadfile --no-loadscope-reorder
 
 lint: lint-rust lint-python ## formats, lints, types, documentation links, stubs
@@ -87,7 +86,7 @@ lint-python: $(STAMPS)/extension
 	$(BIN)/stubtest --mypy-config-file pyproject.toml --concise fingerpost._core
 
 # The compiler of documentation's tests would ask a jobserver that is make's alone.
-test-rust: $(STAMPS)/rust $(STAMPS)/compiler
+test-rust: lint-rust
 	MAKEFLAGS= cargo test --locked --quiet
 
 # Named beside the extension, the core is taken as it was built for it.
